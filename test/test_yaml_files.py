@@ -98,8 +98,8 @@ def test_aliases_and_merges_of_honest_size_are_read():
     text = "a: &a {k: 1}\nb: *a\nc: {<<: *a, l: 2}\n"
     assert parse_yaml(text, "here") == {"a": {"k": 1}, "b": {"k": 1}, "c": {"k": 1, "l": 2}}
     assert parse_yaml("[" * MAX_DEPTH + "]" * MAX_DEPTH, "here") is not None
-    with pytest.raises(InputError, match="the key 'k' stands twice"):
-        parse_yaml("k: 1\nk: 2\n", "here")
+    with pytest.raises(InputError, match="here: line 3 .*the key 'k' stands twice"):
+        parse_yaml("k: 1\nl: 2\nk: 2\n", "here")
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ class Gap(GapResult, Shown):
     diagnosis
         What the page is drawn from; None where the record is no measurement of its command.
     better
-        The model with the effects added; None where none was named.
+        The model with the effects added; None where none was named, or where it comes no closer without re-fitted parameters.
 
     Examples
     --------
@@ -56,7 +56,7 @@ class Gap(GapResult, Shown):
 
     @property
     def model(self) -> Model | None:
-        """The model with the effects added; None where none was named."""
+        """The model with the effects added, its parameters as given; None where none was named or this comes no closer to the records."""
         return None if self.better is None else promoted(Model, self.better)
 
     def summary(self) -> str:

@@ -29,7 +29,7 @@ from hyst_control.diagnose.report.invalid_records import invalid_report, write_i
 from hyst_control.diagnose.report.predicted_reduction import foresee
 from hyst_control.diagnose.report.unknown_remainder import remainder_of, with_learned_residual
 from hyst_control.diagnose.run.diagnosis import BY_REGIME, Diagnosis, diagnose, outside_valid
-from hyst_control.diagnose.simulator import named_simulator, read_parameters, simulator_model
+from hyst_control.diagnose.simulator import named_simulator, of_function, read_parameters, simulator_model, simulator_notes
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, load_model, save_model
@@ -53,7 +53,7 @@ class GapResult:
     document: dict[str, Any]  # The gap report
     words: str  # The same in words
     diagnosis: Diagnosis | None = None  # None where the record is no measurement of its command
-    better: Model | None = None  # The model with the effects added; None where none was named
+    better: Model | None = None  # The model with the effects added; None where none was named or this comes no closer
 
     def panels(self) -> list[Panel]:
         """Measured against simulated signals and the gap, of every piece and axis, with the effects added where there are some."""
@@ -169,6 +169,8 @@ def diagnose_records(
     """Diagnose records that are measurements of their command; say so of those that are none."""
     # coming: name and rows (N, A) of the command of a future run. settings: as `diagnosed` has them
     _check_effects(settings.get("without", ()))
+    said = simulator_notes(model, records)
+    records, baseline = ([of_function(model, record) for record in each] for each in (records, baseline))
     lost, notes = losses([*records, *baseline])
     with beside(lambda: (None, []) if model is None else invalid_report(records, model)) as checked:
 
@@ -184,10 +186,12 @@ def diagnose_records(
             error = raised
         refused, remarks = checked.result()
     if refused is not None:
-        return GapResult(*refused)
+        document, words = refused
+        document["notes"] += said
+        return GapResult(document, "\n".join([words, *(f"  {each}" for each in said)]))
     if error is not None:
         raise error
-    document["notes"] = [*notes, *remarks, *document["notes"]]
+    document["notes"] = [*notes, *remarks, *said, *document["notes"]]
     document["losses"] = lost
     if coming is not None:
         try:

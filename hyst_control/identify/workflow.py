@@ -15,7 +15,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
-from hyst_control.identify.assess.attainable import poorly_explained
+from hyst_control.identify.assess.attainable import leaves_noise, poorly_explained
 from hyst_control.identify.assess.explained_share import (
     DISAGREE,
     EXPLAINS,
@@ -27,7 +27,7 @@ from hyst_control.identify.assess.explained_share import (
     useless,
 )
 from hyst_control.identify.assess.fit_report import residual
-from hyst_control.identify.assess.model_choice import best_family, choice_lines
+from hyst_control.identify.assess.model_choice import POOR, best_family, choice_lines
 from hyst_control.identify.assess.record_consistency import disagreements
 from hyst_control.identify.data.dead_time import lateness, taken_earlier, with_delay
 from hyst_control.identify.data.fit import Fit, Report
@@ -226,9 +226,14 @@ def identified(records: Sequence[Record], family: str | None = None, method: str
     else:
 
         def further(best: Fit) -> list[str]:
-            linear = any(each.linear for each in poorly_explained(begun, residuals_of(best, begun)))
+            """Families to try beside a poor one: where it leaves noise, only such as are plainer."""
+            errors = residuals_of(best, begun)
+            is_noise = leaves_noise(begun, errors, POOR / 100.0)
+            linear = is_noise or any(each.linear for each in poorly_explained(begun, errors))
             return [
-                name for name, each in estimators().items() if each.is_promising(len(begun[0].axes), linear) and each.has(options)
+                name
+                for name, each in estimators().items()
+                if each.is_promising(len(begun[0].axes), linear) and each.has(options) and not (is_noise and each.second_choice)
             ]
 
         def explains(fit: Fit) -> bool:

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter
 
 import hyst_control as hc
 from hyst_control.base import parallel
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
-from hyst_control.chain.external_simulator import external_simulator
+from hyst_control.chain.external_simulator import ALIKE, SAME, external_simulator
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.diagnose.simulator import named_simulator, read_parameters, simulator_model
@@ -87,6 +87,104 @@ def test_a_delay_of_one_axis_moves_a_part_of_a_sample(late):
     np.testing.assert_allclose(found, mixed(means, STEP), atol=1e-9)
 
 
+def tank(command, sample_time):
+    """Level from 100 mm, which an inflow of 5 keeps."""
+    level, rows = 100.0, []
+    for inflow in command:
+        rows.append(level)
+        for _ in range(10):
+            level += sample_time * (20.0 * inflow - 10.0 * np.sqrt(level))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(
+    ("function", "first", "rest"),
+    [
+        (lag, 20.0, 0.0),
+        (tank, 6.0, 5.0),
+        (tank, 5.0, 5.0),
+        (lambda command, sample_time: command[0] + lag(command - command[0], sample_time), 20.0, None),
+    ],
+)
+def test_what_was_before_keeps_the_function_where_it_begins(function, first, rest):
+    command = np.concatenate([np.full(20, first), np.full(40, 8.0)])[:, None]
+    stage, _ = external_simulator(function, {})
+    found = stage.begun(command, STEP).rest
+    assert found is None if rest is None else found == pytest.approx((rest,), abs=1e-3)
+
+
+def two_lags(taus, command):
+    """Two first-order lags in a row of a held command, from rest at 0, exactly."""
+    slow, fast = taus
+    num, den, _ = cont2discrete(([1.0], np.polymul([slow, 1.0], [fast, 1.0])), STEP, "zoh")
+    return lfilter(num[0], den, command, axis=0)
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_a_record_that_begins_with_a_step_is_the_same_in_both_orders(behind):
+    command = np.concatenate([np.full((30, 1), 20.0), np.full((30, 1), -5.0)])
+    stage, _ = external_simulator(lag, {"gain": (1.0, 0.1)})
+    stage, slow = stage.stepped(command, STEP).begun(command, STEP), TransferFunction([1.0], [2e-2, 1.0])
+    expected = two_lags((2e-2, 5e-3), command)
+    found = simulate(model_of([stage, slow] if behind else [slow, stage]), command)
+    assert np.max(np.abs(found - expected)) < 2e-3 * np.ptp(expected)
+
+
+def mode(command, sample_time, frequency=300.0):
+    """A mode that swings within a tick, exactly for a held command."""
+    rate = 2.0 * np.pi * frequency
+    num, den, _ = cont2discrete(([rate**2], [1.0, 0.2 * rate, rate**2]), sample_time)
+    return lfilter(num[0], den, command)
+
+
+def by_ticks(command, sample_time):
+    """Euler steps of a tenth of each tick, whatever that is."""
+    at, rows = 0.0, []
+    for value in command:
+        rows.append(at)
+        for _ in range(10):
+            at += 0.1 * sample_time / 5e-3 * (value - at)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(
+    ("function", "steps", "differs"),
+    [
+        (mode, 4, (0.0, 1e-9)),
+        (by_ticks, 4, (SAME, ALIKE)),
+        (lambda command, sample_time: np.append(0.0, command[:-1]), 1, (0.0, 0.0)),  # of the last step alone
+        (lambda command, sample_time: command, 1, (0.0, 0.0)),
+        (lambda command, sample_time: np.concatenate([np.zeros(2), command[:-2]]), 1, (ALIKE, 2.0)),  # a delay of two calls
+    ],
+)
+def test_finer_steps_are_for_functions_that_have_the_same_samples_at_these(function, steps, differs):
+    stage = external_simulator(function, {})[0].stepped(COMMAND[:, None], STEP)
+    assert stage.steps == steps and differs[0] <= stage.differs <= differs[1]
+
+
+@pytest.mark.parametrize("function", [mode, by_ticks])
+def test_a_lag_without_length_changes_nothing_at_finer_steps(function):
+    """Integration errors that follow the step would look like an effect of the lag: 0.4 % of the range."""
+    stage = external_simulator(function, {})[0].stepped(COMMAND[:, None], STEP)
+    alone = simulate(model_of([stage]), begun_at_rest())
+    short = simulate(model_of([stage, TransferFunction([1.0], [1e-9, 1.0])]), begun_at_rest())
+    np.testing.assert_allclose(short, alone, atol=1e-4 * np.ptp(alone))
+
+
+def test_a_smooth_command_is_held_at_its_means():
+    """Of 20 V at 10 Hz, sampled: a held command comes half a tick late."""
+    time = np.arange(200) * STEP
+    fine = np.arange(200 * 50) * STEP / 50
+    expected = lag(20.0 * np.sin(2.0 * np.pi * 10.0 * (fine + 0.5 * STEP / 50)), STEP / 50)[::50, None]
+    command = 20.0 * np.sin(2.0 * np.pi * 10.0 * time)[:, None]
+    stage = external_simulator(lag, {})[0].stepped(command, STEP)
+    late, found = (
+        np.max(np.abs(simulate(model_of([one], hold="foh"), command) - expected)) for one in (stage, stage.held(command, STEP))
+    )
+    assert found < 0.002 * np.ptp(expected) and late > 0.01 * np.ptp(expected)
+    assert not external_simulator(lag_of_samples, {})[0].held(command[:20], STEP).holds_command
+
+
 @given(st.lists(st.integers(0, 60), max_size=4), st.sampled_from(["zoh", "foh"]), st.sampled_from([0, 1]))
 def test_blocks_are_cut_anywhere(cuts, hold, ahead):
     stage, _ = external_simulator(lag, {})
@@ -140,9 +238,11 @@ def test_what_fails_is_said_in_one_line(function, said):
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("given_", [(1.0,), (1.0, -0.1), 1.0, (1.0, 0.1, "V", 3), ("one", 0.1), (np.nan, 1.0), (1.0, np.inf)])
+@pytest.mark.parametrize(
+    "given_", [(1.0,), (1.0, -0.1), 1.0, (1.0, 0.1, "V", 3), (0, 1, 0.002), ("one", 0.1), (np.nan, 1.0), (1.0, np.inf)]
+)
 def test_a_parameter_without_value_and_deviation_is_refused(given_):
-    with pytest.raises(InputError, match=r"parameters: gain: .*must be value and standard deviation"):
+    with pytest.raises(InputError, match=r"parameters: gain: .*must be value, standard deviation and a unit"):
         external_simulator(lag, {"gain": given_})
 
 
@@ -203,6 +303,16 @@ def test_a_vectorized_simulator_has_the_same_verdict_by_fewer_calls(monkeypatch)
     assert found[True][0] == found[False][0]
     assert found[True][0]["verdict"] == "parameters"
     assert found[True][1] < found[False][1] and (found[False][2], found[True][2]) == (1, 5)
+
+
+def test_a_vectorized_simulator_that_mixes_up_its_sets_is_one_line():
+    def amiss(command, sample_time, gain):
+        return (np.asarray(gain)[..., None] * command)[::-1] if np.ndim(gain) else gain * command
+
+    amiss.vectorized = True
+    steps = np.repeat([0.0, 30.0, 10.0, 50.0, 20.0, 0.0], 50)
+    with pytest.raises(hc.InputError, match="return the sets in their order"):
+        hc.diagnose(hc.from_arrays(steps, 0.1 * steps, 1000.0), amiss, parameters={"gain": (0.1, 0.01)}, verbose=False)
 
 
 def test_a_vectorized_simulator_of_another_shape_is_one_line():

@@ -85,6 +85,25 @@ ROWS = (
         (R.BELOW_NULL,),
     ),
     Row(
+        "a lattice as coarse as an estimated noise floor, nearly all of the gap",
+        evidence(base=SMALL, record=(replace(PLAIN, step=3.2),), stated_noise=(0.0,), nominal=1.2),
+        V.EFFECT,
+        (R.RECORD_CHECK,),
+        checks=(C.VALUE_LATTICE,),
+    ),
+    Row(
+        "the same lattice, little of the gap",
+        evidence(base=SMALL, record=(replace(PLAIN, step=3.2),), stated_noise=(0.0,), nominal=20.0),
+        V.NO_GAP,
+        (R.BELOW_NULL,),
+    ),
+    Row(
+        "the same lattice, under the practical size",
+        evidence(base=SMALL, record=(replace(PLAIN, step=3.2),), stated_noise=(0.0,), nominal=1.2, floor=1.0),
+        V.NO_GAP,
+        (R.BELOW_NULL,),
+    ),
+    Row(
         "a lattice far above an estimated noise floor",
         evidence(base=SMALL, record=(replace(PLAIN, step=10.0),), stated_noise=(0.0,)),
         V.EFFECT,

@@ -10,6 +10,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from hyst_control.base.errors import InputError
 from hyst_control.identify import Fit, workflow
+from hyst_control.identify.assess.attainable import leaves_noise
 from hyst_control.identify.assess.model_choice import POOR, USELESS, best_family
 from hyst_control.identify.workflow import identified
 from hyst_control.model_file import simulate
@@ -65,6 +66,27 @@ def test_the_second_choice_is_tried_where_the_first_is_poor_and_wins_by_its_erro
 def test_a_second_choice_that_does_not_suit_leaves_the_first():
     fit = best_family(["a"], Stand(a=(2.0 * POOR, 5)), slow_too)
     assert fit.report["family"] == "a" and fit.report["tried"][1]["refused"] == "slow: does not suit"
+
+
+def test_the_families_named_for_a_better_one_are_asked_anew():
+    stand = Stand(a=(3.0 * POOR, 5), quick=(2.0 * POOR, 7), slow=(0.1, 20))
+    further = {"a": ["quick", "slow"], "quick": []}  # the quick one leaves noise: the slow one could not be better
+    fit = best_family(["a"], stand, lambda best: further[best.report["family"]])
+    assert fit.report["family"] == "quick" and stand.asked == ["a", "quick"]
+
+
+@pytest.mark.parametrize("error, is_noise", [("white", True), ("slow", False), ("quick", False), ("small", True)])
+def test_only_white_errors_beyond_the_limit_are_noise(error, is_noise):
+    rows = np.arange(8000)
+    values = {
+        "white": 0.02 * np.random.default_rng(4).normal(size=len(rows)),
+        "slow": 0.02 * np.sin(0.05 * rows),
+        "quick": 0.02 * np.sin(2.9 * rows),
+        "small": 0.005 * np.sin(0.05 * rows),
+    }[error]
+    motion = np.sin(0.01 * rows)
+    record = sampled_record("one", motion[:, None], motion[:, None], 1e-3, ("x",), "um", "zoh", "unknown")
+    assert leaves_noise([record], [values[:, None]], 0.005) is is_noise
 
 
 def test_a_family_whose_simulation_explains_nothing_is_passed_over():

@@ -127,10 +127,15 @@ def _is_own_error(noise: Finding, evidence: Evidence, thresholds: Thresholds) ->
 
 
 def _is_within_floor(finding: Finding, evidence: Evidence, thresholds: Thresholds) -> bool:
-    """True for rounding that the noise floor has in it, where neither model nor baseline records say how much noise is usual."""
+    """True for rounding that is no gap where neither model nor baseline records say how much noise is usual."""
     usual = evidence.stated_noise[finding.axis] > 0.0 or evidence.whitened or evidence.carried or evidence.clean_noise
-    limit = thresholds.beyond_clean * evidence.noise[finding.axis]
-    return finding.check is RecordCheck.VALUE_LATTICE and not usual and finding.rms <= limit
+    if finding.check is not RecordCheck.VALUE_LATTICE or usual:
+        return False
+    noise = evidence.noise[finding.axis]  # with the rounding in it
+    coarse = finding.rms**2 >= 0.5 * noise**2  # the rounding error is as large as the noise
+    large = finding.rms > evidence.floor * noise
+    share = finding.rms**2 > thresholds.unknown_share * evidence.nominal * noise**2  # less of a gap needs no explanation
+    return not (coarse and large and share)
 
 
 def is_stuck(seen: RecordEvidence, thresholds: Thresholds) -> bool:

@@ -59,11 +59,14 @@ def record_evidence(
         share, count = repeated_samples(values, step, noise, settings)
         rms = float(np.sqrt(share * np.mean(np.abs(np.diff(values)) ** 2)))
         rough = problem.roughness[axis] if problem.roughness else None
+        # A function has no stages to look at.
+        grid = lattice_of(problem.rows(problem.simulate(problem.model.chain.stages))[:, axis], settings) if step else 0.0
+        own = modelled or abs(grid - step) < settings.lattice_off * step
         rows = [(piece.counted(piece.command)[:, axis], piece.counted(piece.readings)[:, axis]) for piece in problem.pieces]
         simulated = np.split(values - residuals[:, axis], np.cumsum([len(measured) for _, measured in rows])[:-1])
         passages = level_crossings([(one, measured) for one, (_, measured) in zip(simulated, rows, strict=True)], step, noise)
         stuck = max(stuck_stretches(rows, step, noise), passages)
-        found.append(RecordEvidence(len(values), share, count, rms, step, modelled, noise, roughness=rough, stuck=stuck))
+        found.append(RecordEvidence(len(values), share, count, rms, step, own, noise, roughness=rough, stuck=stuck))
     return tuple(found)
 
 

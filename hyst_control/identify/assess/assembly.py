@@ -30,13 +30,14 @@ from hyst_control.identify.assess.fit_report import (
     with_own_rows,
     with_state,
 )
+from hyst_control.identify.assess.residual_lines import line_notes
 from hyst_control.identify.data.excited_band import excited_band
 from hyst_control.identify.data.fit import Fit, Number, ParameterRow, Report, StructureRow
 from hyst_control.identify.data.fit_windows import as_window
 from hyst_control.identify.data.initial_memory import beginning_rows
 from hyst_control.identify.solve.parameter_covariance import PRIOR, STEP, derivatives, uncertainty_of
 from hyst_control.model_file import Model
-from hyst_control.records.record import Record
+from hyst_control.records.record import Beginning, Record
 from hyst_control.records.stream.row_store import spread_parts
 
 NEUTRAL: dict[type[Stage], Stage] = {
@@ -78,6 +79,13 @@ class AxisFit:
             if each.threshold is not None:
                 rows[-1]["threshold"] = each.threshold
         return rows
+
+
+def _with_free_motion(model: Model, data: Record, error: Array) -> Array:
+    """A residual without an estimated motion from before the record: a mode without damping would make a hum of it."""
+    if not (isinstance(data.start, Beginning) and data.start.moving):
+        return error
+    return residual_from(model, replace(data, start=replace(data.start, moving=False)))
 
 
 def side_by_side(chains: Sequence[Sequence[Stage]]) -> list[Stage]:
@@ -196,6 +204,7 @@ def fit_of(
         "parameters": [row for own in found for row in own] + list(rows),
         "notes": [
             *(note for axis, own in zip(axes, found, strict=True) for note in axis.notes(own)),
+            *line_notes(begun, [_with_free_motion(model, data, error) for data, error in zip(begun, residuals, strict=True)]),
             *known.notes(f"The commands excite the motion up to {model.valid['frequency'][1]:.3g} Hz."),
         ],
         "beginnings": beginning_rows(begun),

@@ -71,10 +71,11 @@ def with_state(model: Model, data: Record) -> Record:
         return data
     first, still = data.rows(0, end), Beginning("", memory, begin)
 
-    def left(start: Beginning) -> tuple[float, float]:
-        """Mean square error beside the session's zero and drift, and beside its zero alone."""
+    def left(start: Beginning) -> tuple[float, float, float]:
+        """Mean square error beside the session's zero and drift, beside its zero alone, and as it is."""
         error = residual_from(model, replace(first, start=start))
-        return float(np.mean(without_zero(error)[0] ** 2)), float(np.mean((error - error.mean(axis=0)) ** 2))
+        beside_zero = float(np.mean((error - error.mean(axis=0)) ** 2))
+        return float(np.mean(without_zero(error)[0] ** 2)), beside_zero, float(np.mean(error**2))
 
     def spoils(start: Beginning) -> bool:
         """True where the estimated motion increases the error of the rows that follow, as a slow one that resembles a drift does."""
@@ -88,8 +89,10 @@ def with_state(model: Model, data: Record) -> Record:
         others.insert(0, Beginning(JUMP, np.zeros((1, len(data.axes))), 0))
     for other in others:
         found = left(other)
-        # An integrator settles at no first command but 0 V: a jump leaves as little without a drift that takes its wrong rest back.
-        calmer = not other.moving and found[0] <= DOUBT * least[0] and found[1] < share * least[1]
+        # An integrator settles at no first command but 0 V: a jump leaves as little, without a drift or a zero that takes its wrong rest
+        # back.
+        as_good = not other.moving and found[0] <= DOUBT * least[0]
+        calmer = as_good and (found[1] < share * least[1] or (found[1] <= DOUBT * least[1] and found[2] < share * least[2]))
         if (found[0] < share * least[0] or calmer) and not (other.moving and spoils(other)):
             data, least = replace(data, start=other), found
     return data

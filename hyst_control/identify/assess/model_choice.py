@@ -27,7 +27,7 @@ def best_family(
 ) -> Fit:
     """Identify every family and take the plainest of those that do best on held-out rows.
 
-    Where none of them does well, those that are named for the best one are tried in turn, until one does.
+    Where none of them does well, the first one that is named for the best one, and has not been tried, is tried, until one does.
     """
     rows: list[TriedRow] = []
     fits: dict[str, Fit] = {}
@@ -57,14 +57,15 @@ def best_family(
     if not fits:
         raise errors[0]
 
-    def is_poor() -> bool:
-        return not useful or min(scored().values()) > POOR
-
-    if is_poor():
+    def best() -> str:
         scores = scored()
-        for family in further(fits[min(scores, key=lambda name: scores[name])]):
-            if is_poor():
-                attempt(family)
+        return min(scores, key=lambda name: scores[name])
+
+    def is_poor() -> bool:
+        return not useful or scored()[best()] > POOR
+
+    while is_poor() and (due := [name for name in further(fits[best()]) if name not in {row["family"] for row in rows}]):
+        attempt(due[0])
     scores = scored()
     limit = (1.0 + AS_GOOD) * min(scores.values())
     counts = {row["family"]: row["parameters"] for row in rows}

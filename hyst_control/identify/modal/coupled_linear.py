@@ -15,6 +15,7 @@ from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyst_control.base.arrays import Array
 from hyst_control.identify.assess.assembly import fit_of
@@ -46,7 +47,8 @@ DRIFT_LAGS, DRIFT_ROWS = 64, 50_000
 """Taps of the response that stands for the plant, and rows at most to which it is fitted."""
 WORTHWHILE_DRIFT = 0.03  # Least share of what that response leaves of a record that a drift explains, to be removed
 DISTINCT = 0.2  # Share of a ramp that the command must not explain for a drift to be told from the plant's answer
-COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
+COUPLED_ORDERS = (2, 4, 6, 8, 10, 12, 16, 20, 26, 32, 40)
+UNSURE_DECAY = 1.0  # Standard deviation of the logarithm of a pole's decay from which the data do not tell it
 TRIAL_ITERATIONS = 12  # Most steps of the refinement of a model that is compared
 
 
@@ -151,6 +153,31 @@ def beyond_reach(model: ModalModel, data: Sequence[Spectra]) -> bool:
     return bool(np.any(np.abs(model.poles) > REACH * highest))
 
 
+def grown(model: ModalModel, data: Sequence[Spectra], order: int) -> ModalModel:
+    """A model with the poles of what it leaves beside its own, up to an order."""
+    left = [replace(each, measurement=each.measurement - model.response(each.angle) @ each.command) for each in data]
+    more = subspace(left, [order - model.states], model.delay, model.hold, direct=False)[0]
+    return replace(
+        model,
+        poles=np.concatenate([model.poles, more.poles]),
+        outputs=np.vstack([model.outputs, more.outputs]),
+        inputs=np.vstack([model.inputs, more.inputs]),
+    )
+
+
+def told_poles(candidate: Candidate) -> NDArray[np.bool_]:
+    """Report of which poles (n,) the data tell the decay, which they do not of a mode that is made of noise."""
+    index, spread = candidate.covariance()
+    decays = candidate.layout.indices("pole", -1, 2)[:, 0]
+    told: NDArray[np.bool_] = np.diag(spread)[np.isin(index, decays)] <= UNSURE_DECAY**2
+    return told
+
+
+def with_poles(model: ModalModel, kept: NDArray[np.bool_]) -> ModalModel:
+    """A model with some of its poles."""
+    return replace(model, poles=model.poles[kept], outputs=model.outputs[kept], inputs=model.inputs[kept])
+
+
 def _search(records: Sequence[Record], options: LinearOptions) -> tuple[Candidate, list[OrderRow]]:
     """The smallest model that is as good as any on held-out data, fitted to all; growing ends after three orders without a gain."""
     first = records[0]
@@ -174,8 +201,20 @@ def _search(records: Sequence[Record], options: LinearOptions) -> tuple[Candidat
     tried: list[tuple[float, int, Candidate]] = []
     lowest, stale = np.inf, 0
     for index, order in enumerate(orders):
-        for number, (_, direct, free) in enumerate(variants):
-            candidate = refined(train, starts[number][index], direct, free, TRIAL_ITERATIONS)
+        begins = [(number, starts[number][index]) for number in range(len(variants))]
+        if tried:
+            _, number, smaller = min(tried, key=lambda each: each[0])
+            begins += [(number, grown(smaller.model, train, order))] * (order > smaller.model.states)
+        fresh = [(number, refined(train, start, *variants[number][1:], TRIAL_ITERATIONS)) for number, start in begins]
+        # The best one is fitted to the end: what it has not reached yet would count for the next order.
+        number, best = min(fresh, key=lambda each: each[1].fitted)
+        fresh.append((number, refined(train, best.model, *variants[number][1:], options.iterations)))
+        told = told_poles(fresh[-1][1])
+        if (
+            options.order is None and np.any(told) and not np.all(told)
+        ):  # without its noise, a model may be the best one of fewer states
+            fresh.append((number, refined(train, with_poles(fresh[-1][1].model, told), *variants[number][1:], options.iterations)))
+        for number, candidate in fresh:
             candidate = replace(candidate, held_out=error_of(candidate.model, test) if test else np.nan)
             rows.append(
                 {
@@ -188,7 +227,7 @@ def _search(records: Sequence[Record], options: LinearOptions) -> tuple[Candidat
                     "delay_samples": [float(value) for value in candidate.model.delay],
                 }
             )
-            if not index or not beyond_reach(candidate.model, train):
+            if not index or (np.all(told_poles(candidate)) and not beyond_reach(candidate.model, train)):
                 tried.append((candidate.held_out if test else information(candidate, train), number, candidate))
         before, lowest = lowest, min(score for score, _, _ in tried)
         stale = stale + 1 if np.isfinite(before) and lowest >= before - negligible * abs(before) else 0

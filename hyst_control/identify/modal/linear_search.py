@@ -21,7 +21,8 @@ from hyst_control.identify.data.fit import OrderRow
 from hyst_control.identify.data.fit_windows import response_sign
 from hyst_control.identify.modal.linear_candidate import MIN_GAIN, VARIANTS, Candidate, Variant
 from hyst_control.identify.modal.linear_options import LinearOptions
-from hyst_control.identify.modal.partial_fractions import Sections
+from hyst_control.identify.modal.partial_fractions import SLOWEST, Sections
+from hyst_control.identify.modal.thinned_rows import thinned, thinning
 from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Grams, Window
 from hyst_control.identify.solve.simulation_error import Parametrization, SimulationError, Solution, minimize_simulation_error
@@ -106,7 +107,7 @@ class Trials:
         began = time.perf_counter()
         delay = self.delay_of(variant)
         unit = (max(delay, 1.0) if variant.delay else delay) * self.sample_time
-        sections = Sections(order, *variant, self.gain, unit, 0.005 / (self.longest * self.sample_time), self.fastest)
+        sections = Sections(order, *variant, self.gain, unit, SLOWEST / (self.longest * self.sample_time), self.fastest)
         found = self.fit(sections, start, delay * self.sample_time)
         if smaller is not None and found.fitted > smaller.solution.fitted:
             late = smaller.sections.tau(smaller.solution.parameters)
@@ -155,7 +156,8 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     still: the records begin at rest, according to their hysteresis. Initial states are then zero, unless estimated ones reduce the
     error far more: otherwise they cancel the motion of a slow pole.
     """
-    few = _parts(windows)
+    count = thinning(windows, SEARCH_ROWS)
+    few = _parts([thinned(window, count) for window in windows])
     still = still and len(few) == len(windows)
     guess = options.delay == "estimate"
     with forked([few, *few]):
@@ -175,12 +177,17 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
     with forked([trials, few, *few]):
         tried, table = _grow(trials, orders, variants)
+    table = [{**row, "delay_samples": [late * count for late in row["delay_samples"]]} for row in table]
     chosen = _best_of(tried)
-    whole = [_middle(replace(window, skip=max(window.skip, early))) for window in windows]
+    whole = [_middle(replace(window, skip=max(window.skip, early * count))) for window in windows]
     final = _final(whole, chosen, options, still)
     if final is None:
         return search(windows, options)
-    return replace(chosen, solution=final, search_error=chosen.held_out), table
+    missed = chosen.held_out
+    if count > 1:  # of all rows, whose noise is larger than that of their means
+        start = chosen.solution.parameters
+        missed = _fit(whole, chosen.sections, start, options.nuisance, PASSES, unknown_state=not trials.still).held_out
+    return replace(chosen, solution=final, search_error=missed), table
 
 
 def _trials(windows: Sequence[Window], few: Sequence[Window], options: LinearOptions, still: bool, late: float) -> Trials:

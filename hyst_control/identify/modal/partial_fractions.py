@@ -19,14 +19,16 @@ from hyst_control.chain import Stage
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace, TransferFunction
 from hyst_control.identify.modal.vector_fitting import Partial
 
-DAMPING = (5e-4, 50.0)
+MIN_DAMPING = 5e-4
+SLOWEST = 0.005  # Rate of the slowest pole, in inverse lengths of the record: within this an integrator answers alike
 
 
 @dataclass(frozen=True)
 class Sections:
     """Structure of the dynamics and the scales of its parameters.
 
-    A parameter vector holds log(w), log(z), g, h of every section, log(w) and g of the lag, d, and the delay.
+    A parameter vector holds log(w), log(z), g, h of every section, log(w) and g of the lag, d, and the delay. Its g and h are of order one
+    also for a pole at 0, whose static gain is infinite: they are counted in what the section answers at the inverse length of the record.
     """
 
     order: int
@@ -37,6 +39,11 @@ class Sections:
     late: float  # Delay in s where it is not estimated; else its unit
     slowest: float
     fastest: float  # Bounds of w, rad/s
+
+    @property
+    def reference(self) -> float:
+        """Inverse length of the longest record, 1/s."""
+        return self.slowest / SLOWEST
 
     @property
     def pairs(self) -> int:
@@ -69,8 +76,11 @@ class Sections:
         for (p1, r1), (p2, r2) in zip(lags[::2], lags[1::2], strict=True):
             w = np.sqrt(p1 * p2)
             sections.append((np.log(w), np.log((p1 + p2) / (2 * w)), (r1 * p2 + r2 * p1) / w**2, (r1 + r2) / w))
-        found = [[a, b, g / self.gain, h / self.gain] for a, b, g, h in sections]
-        found += [[np.log(p), r / p / self.gain] for p, r in lag]
+        found = [
+            [a, b, *(np.array([g, h]) / self.gain / self._units(np.exp(np.array([a])), np.exp(b)).ravel())]
+            for a, b, g, h in sections
+        ]
+        found += [[np.log(p), r / (p + self.reference) / self.gain] for p, r in lag]
         tail = [partial.direct / self.gain] * self.direct + ([delay / self.late] if self.delay else [])
         return self.limit(np.array([*(value for part in found for value in part), *tail]))
 
@@ -93,11 +103,16 @@ class Sections:
         section, lag = self._split(limited)
         low, high = np.log(self.slowest), np.log(self.fastest)
         section[:, 0] = np.clip(section[:, 0], low, high)
-        section[:, 1] = np.clip(section[:, 1], *np.log(DAMPING))
+        section[:, 1] = np.clip(section[:, 1], np.log(MIN_DAMPING), self._max_log_damping(section[:, 0]))
         lag[:1] = np.clip(lag[:1], low, high)
         if self.delay:
             limited[-1] = max(limited[-1], 0.0)
         return limited
+
+    def _max_log_damping(self, log_w: Array) -> Array:
+        """Damping at which one of a section's two real poles reaches a bound of w."""
+        nearest = np.minimum(log_w - np.log(self.slowest), np.log(self.fastest) - log_w)
+        return np.asarray(np.log(np.cosh(np.maximum(nearest, 0.0))))
 
     def tau(self, vector: Array) -> float:
         """Delay, s."""
@@ -109,14 +124,15 @@ class Sections:
 
     def static_gain(self, vector: Array) -> float:
         """Response to a constant command, over it."""
-        section, lag = self._split(vector)
-        return self.gain * float(section[:, 2].sum() + lag[1:].sum()) + self.direct_gain(vector)
+        return sum(float(num[-1] / den[-1]) for num, den in self.terms(vector)) + self.direct_gain(vector)
 
     def terms(self, vector: Array) -> list[tuple[Array, Array]]:
         """Numerator and denominator of every section, in powers of s with a denominator that begins with 1."""
         section, lag = self._split(vector)
         section = section.copy()
         w = np.exp(section[:, 0])
+        section[:, 2:] *= self._units(w, np.exp(section[:, 1])).T
+        lag = lag * np.array([1.0, 1.0 + self.reference * float(np.exp(-lag[:1]).sum())][: len(lag)])
         if self.smooth and len(w):
             last = int(np.argmax(w))
             others = float(np.delete(section[:, 3] * w, last).sum()) + float(np.exp(lag[:1]).sum() * lag[1:].sum())
@@ -157,6 +173,11 @@ class Sections:
         if self.smooth:
             num = num[-max(len(den) - 2, 1) :]
         return [*self._delay(vector), TransferFunction(np.trim_zeros(num, "f") if np.any(num) else np.zeros(1), den)]
+
+    def _units(self, w: Array, z: Array) -> Array:
+        """Units (2, pairs) of g and h."""
+        answer = w**2 + 2.0 * z * w * self.reference + self.reference**2
+        return np.array([answer / w**2, answer / (w * (w + self.reference))])
 
     def _delay(self, vector: Array) -> list[Stage]:
         tau = self.tau(vector)

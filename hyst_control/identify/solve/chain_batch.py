@@ -52,8 +52,8 @@ class Bundle:
         self.outputs = [self._series(arrange(resolved(stages, 1), sampling.hold), SOURCE) for stages in chains]
         self._steps = [(numbers, self._run(numbers)) for numbers in alike(self.nodes)]
 
-    def settle(self, value: float) -> None:
-        """Come to rest at a constant input."""
+    def settle(self, value: float) -> Array:
+        """Come to rest at a constant input; returns the chains' outputs there."""
         signals: list[Array] = [np.empty(0)] * len(self.nodes) + [np.full(1, value)]
         for numbers, running in self._steps:
             inputs = [[signals[before] for before in self.nodes[number].before] for number in numbers]
@@ -63,6 +63,7 @@ class Bundle:
                     signals[number] = np.full(1, end)
             else:
                 signals[numbers[0]] = running.settle(inputs[0][0]) if running else sum(inputs[0][1:], start=inputs[0][0])
+        return np.array([signals[number][0] for number in self.outputs])
 
     def process(self, block: Annotated[Array, "N 1"]) -> list[Array]:
         """Compute the chains' outputs for the next block of the input."""
@@ -80,20 +81,12 @@ class Bundle:
     @property
     def states(self) -> int:
         """Number of states of the dynamics that end the first chain; 0 where it ends otherwise."""
-        last = self._last()
-        return 0 if last is None else last.a.shape[1]
+        return self.decays()[0].states
 
-    def decay(self) -> Decay:
-        """The free motion of the dynamics that end the first chain."""
-        last = self._last()
-        if last is None:
-            return Decay(np.zeros((0, 0)), np.zeros(0))
-        return Decay(last.a[0], last.c[0, 0])
-
-    def _last(self) -> LinearFilter | None:
-        number = self.outputs[0]
-        running = self.nodes[number].running if number != SOURCE else None
-        return running if single(running) else None
+    def decays(self) -> list[Decay]:
+        """The free motion of the dynamics that end each chain."""
+        ends = [self.nodes[number].running if number != SOURCE else None for number in self.outputs]
+        return [Decay(end.a[0], end.c[0, 0]) if single(end) else Decay(np.zeros((0, 0)), np.zeros(0)) for end in ends]
 
     def _run(self, numbers: Sequence[int]) -> LinearLanes | Filter | None:
         """Filter of a step's nodes: linear nodes run side by side, any other node by itself."""
@@ -147,8 +140,14 @@ class Decay:
 
     def __init__(self, transition: Array, output: Array) -> None:
         self._transition, self._row = np.ascontiguousarray(transition), np.array(output, dtype=float)
+        self.first = self._row @ self._transition
         self._largest = np.abs(self._row)  # By state, as each has a unit of its own
         self.states = len(transition)
+
+    @property
+    def is_over(self) -> bool:
+        """True where nothing is left of the motion."""
+        return not np.any(self._row)
 
     def rows(self, count: int) -> Array:
         """The next `count` rows (count, n)."""

@@ -33,7 +33,8 @@ STEP = 1e-5  # Difference of neighboring parameters, which are all of order one
 DRIFT = 0.02
 """Usual drift over a record, as a share of its range: its prior, which keeps it from the slow part of the plant's response."""
 FREE_MOTION = 10.0
-"""Usual size (rms) of what an initial state does, in ranges of the measurement: states of nearly equal poles would grow without limit."""
+"""Usual size (rms) of what an initial state does beside an offset, in ranges of the measurement: states of nearly equal poles would grow
+without limit. Beside an offset, as the state of an integrator is mostly one: a large one decays slowly, and is a small drift."""
 ROUNDING = 1e-15  # Relative size of rounding in a sum of squares
 PRIOR = 1e-10
 """Weight of the prior on every parameter relative to the strongest one: determines only directions that the data do not show at all."""
@@ -67,6 +68,7 @@ class Solution:
 
     parameters: Array
     nuisances: Array  # Offset and drift of every record, one record behind the other
+    states: Array  # Initial state of every window beside rest, where it is unknown
     fitted: float
     held_out: float  # Mean square errors on the rows fitted and held out
     grams: Grams  # Gram matrices of [derivatives, error], the session effects eliminated
@@ -135,7 +137,8 @@ class SimulationError:
 
     def linearize(self, point: Solution) -> Solution:
         """Return the `point` with the derivatives there."""
-        return replace(point, grams=self.visit(point.parameters, derivatives=True).grams, linearized=point.parameters)
+        found = self.visit(point.parameters, derivatives=True, states=point.states)
+        return replace(point, grams=found.grams, linearized=point.parameters)
 
     def step(self, point: Solution, damping: float) -> Trial[Solution]:
         """Return the trial of the step with `damping` from a linearized `point`."""
@@ -147,8 +150,14 @@ class SimulationError:
         found = self.visit(self.parametrization.limit(point.parameters + step))
         return Trial(replace(found, grams=grams, linearized=point.parameters), float(np.max(np.abs(step))))
 
-    def visit(self, parameters: Array, *, derivatives: bool = False) -> Solution:
-        """Simulate the records once: errors, and the Gram matrices of [derivatives (P), error]; every third block is held out."""
+    def visit(self, parameters: Array, *, derivatives: bool = False, states: Array | None = None) -> Solution:
+        """Simulate the records once: errors, and the Gram matrices of [derivatives (P), error]; every third block is held out.
+
+        states: the initial states there, where they are known. Derivatives are those of the motion that begins with them: the drift of an
+        integrator that does not begin at rest changes with its parameters as much as its answer to the command.
+        """
+        if states is None:
+            states = self.visit(parameters, states=np.zeros(0)).states if derivatives and self.unknown_state else np.zeros(0)
         windows, size = self.windows, len(parameters) * derivatives
         vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
         chains = [tuple(self.parametrization.stages(vector)) for vector in vectors]
@@ -162,6 +171,7 @@ class SimulationError:
         blocks: list[Array] = []
         energies: list[float] = []
         nuisances: list[Array] = []
+        moved: list[Array] = []
         extra = NUISANCES[self.nuisance]
         for group in range(max(window.group for window in windows) + 1):
             record = [window for window in windows if window.group == group]
@@ -169,14 +179,21 @@ class SimulationError:
                 nuisances.append(np.zeros(extra))
                 continue
             running = [clocks[Sampling(window.sample_time, 1, window.hold)] for window in record]
-            columns = extra + running[0].states * len(record) * self.unknown_state
+            own_states = running[0].states * self.unknown_state
+            columns = extra + own_states * len(record)
             total = size + columns + 1
             sums, own, first = np.zeros((2, total, total)), np.zeros(2, dtype=int), count
             pieces: list[Array] = []
-            # Taken away before anything is squared: an absolute position may be millions of times the motion.
-            zero = float(record[0].measurement[0]) if extra else 0.0
+            # Taken away before anything is squared: an absolute position, or the rest of a slow plant, may be millions of times the motion.
+            zero, rest = (float(record[0].measurement[0]) if extra else 0.0), np.zeros(size + 1)
+            if extra:
+                rest = running[0].settle(float(driving_signal(record[0])[0][0, 0]))
             for number, window in enumerate(record):
-                for block in self._blocks(window, running[number], size, columns, number, length, zero):
+                begin = sum(map(len, moved)) + number * own_states
+                place = _Place(
+                    size, extra, columns, number * own_states, zero, rest, len(record) == 1, states[begin : begin + own_states]
+                )
+                for block in self._blocks(window, running[number], place, length):
                     product = block.T @ block
                     if (count - first) % together:
                         pieces[-1] += product
@@ -195,12 +212,14 @@ class SimulationError:
             kept = [_kept(piece, keep) for piece in pieces]
             blocks += kept
             energies += [float(each[-1, -1]) for each in (kept[2::3] if together == 1 else kept)]
-            nuisances.append(effects[:extra, -1] + zero * (np.arange(extra) == 0))
+            moved.append(effects[extra:, -1])
+            nuisances.append(effects[:extra, -1] + (zero - rest[0]) * (np.arange(extra) == 0))
             rows += own
         chosen, counted = (grams.sum(axis=0), rows.sum()) if self.everything else (grams[0], rows[0])
         return Solution(
             parameters,
             np.concatenate(nuisances),
+            np.concatenate([np.zeros(0), *moved]),
             max(float(chosen[-1, -1]), 0.0) / max(int(counted), 1),
             max(float(grams[1, -1, -1]), 0.0) / max(int(rows[1]), 1),
             Grams(grams[0], grams[1], (int(rows[0]), int(rows[1])), np.array(blocks)),
@@ -208,14 +227,12 @@ class SimulationError:
             np.array(energies),
         )
 
-    def _blocks(
-        self, window: Window, running: Bundle, size: int, columns: int, number: int, length: int, zero: float
-    ) -> Iterator[Array]:
-        """Blocks of rows of [derivatives, session effects, error beside `zero`] of a window, the `number`-th of its record."""
+    def _blocks(self, window: Window, running: Bundle, place: _Place, length: int) -> Iterator[Array]:
+        """Blocks of rows of [derivatives, session effects, error] of a window."""
         signal, first = driving_signal(window)
         running.settle(float(signal[0, 0]))
-        n, extra = len(window.command), NUISANCES[self.nuisance]
-        decay = running.decay() if self.unknown_state else None
+        n, size, extra = len(window.command), place.size, place.extra
+        decays = running.decays() if self.unknown_state else []
         begin = max(first - CHUNK, 0)  # few turning points pass together with the rows behind them
         for earlier in row_blocks(begin):
             running.process(signal[earlier])
@@ -223,19 +240,44 @@ class SimulationError:
             stop = min(chunk + CHUNK, n)
             nominal, *neighbours = (found[chunk - stop :] for found in running.process(signal[begin : first + stop]))
             begin = first + stop
-            rows = np.zeros((stop - chunk, size + columns + 1), order="F")
+            rows = np.zeros((stop - chunk, size + place.columns + 1), order="F")
             for i, neighbour in enumerate(neighbours):
-                np.subtract(neighbour, nominal, out=rows[:, i])
+                # Large rests are subtracted first: their difference alone is that of a constant.
+                np.subtract(neighbour - place.rest[i + 1], nominal - place.rest[0], out=rows[:, i])
+            if decays:
+                own = slice(size + extra + place.begin, size + extra + place.begin + decays[0].states)
+                rows[:, own] = -decays[0].first * place.takes_constants
+                if not decays[0].is_over:
+                    free, *nearby = (decay.rows(stop - chunk) for decay in decays)
+                    rows[:, own] += free
+                    if len(place.state):
+                        rows[:, :size] += np.column_stack([(each - free) @ place.state for each in nearby])
             rows[:, :size] /= STEP
             share = window.begin + window.share * np.arange(chunk, stop) / n
             for power in range(extra):
                 rows[:, size + power] = (share - 0.5) ** power
-            if decay is not None:
-                place = size + extra + number * decay.states
-                rows[:, place : place + decay.states] = decay.rows(stop - chunk)
-            np.subtract(window.measurement[chunk:stop] - zero, nominal, out=rows[:, -1])
+            np.subtract(window.measurement[chunk:stop] - place.zero, nominal - place.rest[0], out=rows[:, -1])
             for row in range(max(window.skip - chunk, 0), stop - chunk, length):
                 yield rows[row : row + length]
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Columns of a window among those of its record, and what counts as 0 in them."""
+
+    size: int  # Number of derivatives, which come first
+    extra: int  # Number of offset and drift, which follow
+    columns: int  # Number of session effects, initial states included
+    begin: int  # Number of initial states of earlier windows
+    zero: float  # Measurement that counts as 0
+    rest: Array  # Outputs of the chains that count as 0
+    alone: bool  # Whether the record has one window
+    state: Array  # Initial state beside rest; empty where derivatives are those from rest
+
+    @property
+    def takes_constants(self) -> bool:
+        """True where a constant of the window's initial states is one of the record's offset."""
+        return self.alone and self.extra > 0
 
 
 def _kept(gram: Array, keep: Array) -> Array:
@@ -263,7 +305,9 @@ def _eliminated(gram: Array, size: int, extra: int, span: float, rows: int, alik
     if span > 0.0 and len(inner):
         left = max(float(gram[-1, -1] - cross[:, -1] @ effects[:, -1]), ROUNDING * float(gram[-1, -1])) / max(rows, 1)
         prior[1:extra] = left * alike / (DRIFT * span) ** 2
-        prior[extra:] = left * (scale[extra:] / (FREE_MOTION * span)) ** 2 / max(rows, 1)
+        shared = inner[0, extra:] ** 2 / max(float(inner[0, 0]), 1e-300) if extra else 0.0
+        beside = np.maximum(np.diag(inner)[extra:] - shared, ROUNDING * np.diag(inner)[extra:])
+        prior[extra:] = left * beside / (FREE_MOTION * span) ** 2 / max(rows, 1)
         effects = solved()
     return effects, (effects.T * prior) @ effects
 

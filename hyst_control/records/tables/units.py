@@ -13,7 +13,10 @@ CONVERTED = {"V": ("V", 1.0), "m": ("um", 1e6), "rad": ("mrad", 1e3)}
 """Unit without a prefix: unit of the record, and how many of them one is."""
 
 WITH_PREFIX = ("A", "N", "Pa", "bar", "g", "Hz", "s", "W", "J", "C", "F", "T", "H", "K", "Ohm", "Ω", "bit", "Nm")
-ALONE = ("%", "ppm", "deg", "arcmin", "arcsec", "counts", "LSB", "digit", "div", "px", "dB", "°C", "min", "h", "rpm", "in", "1")
+ALONE = (
+    "%", "ppm", "deg", "arcmin", "arcsec", "counts", "LSB", "digit", "div", "px", "dB", "°C", "°F", "degC", "degF", "min", "h", "rpm",
+    "in", "1",
+)  # fmt: skip
 NAMES = {
     "°": "deg",
     "volt": "V", "volts": "V", "micron": "um", "microns": "um", "micrometer": "um", "micrometers": "um", "nanometer": "nm",

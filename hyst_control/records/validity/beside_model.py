@@ -14,7 +14,7 @@ from itertools import permutations
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.records.validity.findings import Finding, Simulation, Trial
+from hyst_control.records.validity.findings import Finding, Simulation, Trial, times
 from hyst_control.records.validity.time_shift import MIN_SECTIONS, SECTIONS, grown_lead_in_words, in_words
 from hyst_control.records.validity.two_records import OPPOSED, PAIRED, SCALE
 
@@ -233,7 +233,7 @@ def _axis_against_the_model(trial: Trial, index: int) -> Iterator[Finding]:
     ratio, correlation = float(np.ptp(measured) / np.ptp(expected)), float(np.corrcoef(expected, measured)[0, 1])
     against = misfit(-expected, measured) if correlation < OPPOSED else np.inf
     if against * CLEAR < _shifted_misfit(expected, measured, shift):  # a motion the other way often looks like a late one, too
-        yield Finding("sign_turned", trial.name, axis, correlation, OPPOSED)
+        yield Finding("sign_turned", trial.name, axis, correlation, OPPOSED, f"(correlation {correlation:.2g})")
     elif -shift * step > trial.delay + MIN_SHIFT * step and correlation > OPPOSED:
         remedy = f"check that both recordings start together, or pass --shift {-shift * step:.3g}"
         yield Finding(
@@ -245,6 +245,6 @@ def _axis_against_the_model(trial: Trial, index: int) -> Iterator[Finding]:
             "late_measurement", trial.name, axis, shift * step, 0.0, f"by {in_words(shift * step)} beside the model", remedy
         )
     elif correlation < OPPOSED:
-        yield Finding("sign_turned", trial.name, axis, correlation, OPPOSED)
+        yield Finding("sign_turned", trial.name, axis, correlation, OPPOSED, f"(correlation {correlation:.2g})")
     if not 1.0 / SCALE < ratio < SCALE:
-        yield Finding("scaled_measurement", trial.name, axis, ratio, SCALE if ratio > 1 else 1.0 / SCALE)
+        yield Finding("scaled_measurement", trial.name, axis, ratio, SCALE if ratio > 1 else 1.0 / SCALE, times(ratio))

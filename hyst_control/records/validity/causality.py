@@ -11,7 +11,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.records.validity.clipping import clipping_findings
 from hyst_control.records.validity.facts import held_samples, rails
-from hyst_control.records.validity.findings import NOTES, Finding, Trial
+from hyst_control.records.validity.findings import NOTES, Finding, Trial, figures
 from hyst_control.records.validity.incoherence import (
     EXPLAINED,
     LONGEST_RECORD,
@@ -64,7 +64,8 @@ def direction_findings(trial: Trial, left: CondensedRows, index: int) -> list[Fi
     if all(each.unexplained < SOUND and each.without_command > HALF for each in (ahead, quick)):
         return []
     notes: list[Finding] = []
-    whole = held_samples(trial.command[:, index]) == 1 and rails(trial.command[:, index], trial.measurement[:, index]) is None
+    whole = held_samples(trial.command[:, index]) == 1
+    whole &= _is_switched(trial.measurement[:, index]) or rails(trial.command[:, index], trial.measurement[:, index]) is None
     if whole and not (in_no_order(trial.command[:, index]) and coherent_share(trial, index) < EXPLAINED):
         informative = independent_sines(left.command[:, index]) >= MIN_SINES
         if shifts := clock_difference(trial, index) or (growing_lead(trial, index) if informative else []):
@@ -100,7 +101,7 @@ def _alternative(trial: Trial, left: CondensedRows, index: int, ahead: Reference
         opposite, beside = other.inputs(index), other.measurement[:, index]
         # Either of the two may be the one that was turned around.
         ways += [("reversed_command", opposite, beside, CLEAR), ("reversed_command", opposite[::-1], beside[::-1], CLEAR)]
-    possible = len(np.unique(trial.command[:LONGEST_RECORD, index])) > SWITCHED
+    possible = not _is_switched(trial.command[:, index])
     # Of slow motion the inverse of play operators is such, too.
     cleaner = _cleaner(trial, index)
     # In a closed loop the command follows the measurement, too: what a model explains of the rougher signal is no inverse.
@@ -119,7 +120,10 @@ def _alternative(trial: Trial, left: CondensedRows, index: int, ahead: Reference
     if not clear:
         return np.inf, []
     share, name, limit = min(clear)
-    return share, [Finding(name, trial.name, trial.axes[index], ahead.unexplained / max(share, 1e-300), limit)]
+    ratio = ahead.unexplained / max(share, 1e-300)
+    way = "exchanged" if name == "swapped_signals" else "read backwards"
+    detail = f"({way}, a causal model leaves {figures(ratio)} times less of the power)"
+    return share, [Finding(name, trial.name, trial.axes[index], ratio, limit, detail)]
 
 
 def _of_this_time(fit: Reference, inputs: Array, wanted: Array, share: float) -> bool:
@@ -133,6 +137,11 @@ def _independent(command: Array) -> bool:
     """True of few commands (N, A) that differ: of axes that are driven alike, several measurements together tell the command of the one."""
     count = command.shape[1]
     return 1 < count <= MAX_PAIRED and bool(np.all(np.ptp(command, axis=0) > 0) and np.linalg.cond(np.corrcoef(command.T)) < 1e3)
+
+
+def _is_switched(values: Array) -> bool:
+    """True of a signal (N,) of few levels, which its motion does not reach as the ends of a range."""
+    return len(np.unique(values[:LONGEST_RECORD])) <= SWITCHED
 
 
 def _cleaner(trial: Trial, index: int) -> bool:

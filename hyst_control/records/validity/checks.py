@@ -78,9 +78,9 @@ def _of_axis(trial: Trial, left: CondensedRows, index: int, dead: Finding | None
 
 def _facts(trial: Trial, index: int) -> Iterator[Finding]:
     command, measured, axis = trial.command[:, index], trial.measurement[:, index], trial.axes[index]
-    if (rail := facts.rails(command, measured)) is not None:
-        detail = f"at {rail[0]:.4g} {trial.unit} in {100 * rail[1]:.2g} % of the samples"
-        yield Finding("at_range_end", trial.name, axis, rail[1], 0.0, detail)
+    if rails := facts.every_rail(command, measured):
+        each = " and ".join(f"at {value:.4g} {trial.unit} in {100 * share:.2g} % of the samples" for value, share in rails)
+        yield Finding("at_range_end", trial.name, axis, max(share for _, share in rails), 0.0, each)
     if (held := facts.held_samples(command)) > 1:
         rate = 1.0 / (held * trial.sample_time)
         yield Finding("held_command", trial.name, axis, held, 1.0, f"for {held} samples each, as if logged at {rate:.4g} Hz")

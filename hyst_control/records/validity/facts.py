@@ -27,6 +27,9 @@ MIN_OUTLIERS, MOST_OUTLIERS = 3, 0.01
 """Fewest outliers that are reported, and the share of the samples from which they count as something else."""
 MIN_STAND, MOVES_FAR = 10, 0.05
 """Samples on which a measurement stands still, and the share of its range by which the command moves meanwhile."""
+FAR_LONGER = 10.0  # Ratio of the longest run of one reading and the next one, from which a sensor that scatters is frozen
+SCATTERS, ROUNDING = 0.6, 1e-6
+"""Share of the third differences that turn from one sample to the next, of noise 0.77, and their median size as a share of the range."""
 LARGEST_RANGE = {"V": 5e3, "um": 5e3, "mrad": 1e3}
 """Ranges of command (V) and measurement from which they are implausible for a piezo stage."""
 LARGEST_GAIN = {"um": 3e3, "mrad": 1e3}
@@ -35,7 +38,12 @@ SMALLER_UNIT = {"V": "mV", "um": "nm", "mrad": "urad"}
 
 
 def rails(command: Array, measured: Array) -> tuple[float, float] | None:
-    """Value at which a measurement (N,) stands again and again while the command goes on beyond, and its share of the samples."""
+    """The rail at which a measurement (N,) stands most often, and its share of the samples; None where there is none."""
+    return max(every_rail(command, measured), key=lambda rail: rail[1], default=None)
+
+
+def every_rail(command: Array, measured: Array) -> list[tuple[float, float]]:
+    """Values at which a measurement (N,) stands again and again while the command goes on beyond, and their shares of the samples."""
     command, measured = command[:LONGEST], measured[:LONGEST]
     span = float(np.ptp(command))
     found = []
@@ -54,7 +62,7 @@ def rails(command: Array, measured: Array) -> tuple[float, float] | None:
         ]
         if sum(step > MOVES_ON * span for step in beyond) >= min(2, len(beyond)) and beyond and max(beyond) > MOVES_ON * span:
             found.append((extreme, share))
-    return max(found, key=lambda rail: rail[1], default=None)
+    return found
 
 
 def outliers(command: Array, measured: Array) -> int:
@@ -72,12 +80,29 @@ def longest_stand(command: Array, measured: Array) -> tuple[int, int] | None:
     begins, ends = np.append(0, edges), np.append(edges, len(measured))
     longest = int(np.argmax(ends - begins))
     begin, count = int(begins[longest]), int(ends[longest] - begins[longest])
-    if count < MIN_STAND or not 0 < begin < len(measured) - count:
+    if count < MIN_STAND:
+        return None
+    others = np.delete(ends - begins, longest)
+    if count > FAR_LONGER * max(others, default=count) and _freezes(command, measured, slice(begin, begin + count)):
+        return begin, count
+    if not 0 < begin < len(measured) - count:
         return None
     jump = max(steps[begin - 1], steps[begin + count - 1])
     usual = max(np.quantile(steps, 0.99), ROUNDED * np.min(steps[steps > 0.0]))
     moved = float(np.median(np.abs(np.diff(command[begin : begin + count])))) * count / max(float(np.ptp(command)), 1e-300)
     return (begin, count) if jump > usual and moved > MOVES_FAR else None
+
+
+def _freezes(command: Array, measured: Array, still: slice) -> bool:
+    """True where the command moves far over rows in which a measurement (N,) keeps a value within its range, and its others scatter."""
+    span, value = float(np.ptp(measured)), measured[still.start]
+    moved = command[still.start : still.stop - (still.stop - still.start) // 10]  # at the end a step is only about to follow
+    if not np.min(measured) < value < np.max(measured) or np.ptp(moved) <= MOVES_FAR * np.ptp(command):
+        return False
+    # Third differences of noise turn from sample to sample, those of motion do not.
+    rough = np.diff(np.delete(measured, still), 3)
+    turning = np.mean(rough[1:] * rough[:-1] < 0.0) if len(rough) > MIN_STAND else 0.0
+    return bool(turning > SCATTERS and np.median(np.abs(rough)) > ROUNDING * span)
 
 
 def held_samples(command: Array) -> int:

@@ -55,6 +55,16 @@ class Finding:
         return {"name": self.name, "record": self.record, "axis": self.axis, "value": self.value, "limit": self.limit}
 
 
+def figures(value: float) -> str:
+    """Three digits of a value, without an exponent up to a million."""
+    return f"{float(f'{value:.3g}'):g}"
+
+
+def times(ratio: float) -> str:
+    """Ratio of two ranges for a person."""
+    return f"({figures(max(ratio, 1.0 / ratio))} times as {'large' if ratio > 1.0 else 'small'})"
+
+
 NAMES: dict[str, list[str]] = read_yaml(Path(__file__).with_name("findings.yaml"))
 """Text of each finding, and the remedy."""
 

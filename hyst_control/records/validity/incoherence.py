@@ -50,7 +50,8 @@ def incoherence_findings(trial: Trial, index: int, ahead: Reference, command: Ar
     fits = (fit for other in commands for fit in (linear_reference(other, measured), continued(other, measured, own)))
     if own.unexplained < LINEAR_FOLLOWS * min(fit.unexplained for fit in fits):
         return []
-    return [Finding(_kind_of_incoherence(trial, index), trial.name, trial.axes[index], explained, EXPLAINED)]
+    detail = f"(the command explains {100.0 * explained:.2g} % of its power, {100.0 * EXPLAINED:.0f} % are due)"
+    return [Finding(_kind_of_incoherence(trial, index), trial.name, trial.axes[index], explained, EXPLAINED, detail)]
 
 
 def coherent_share(trial: Trial, index: int) -> float:

@@ -35,11 +35,20 @@ def dead_sensor(trial: Trial, index: int) -> Finding | None:
     """A sensor that keeps one value, or two neighboring ones, or stands still while the command moves."""
     command, values = trial.command[:, index], trial.measurement[:, index]
     few = len(np.unique(values[:LONGEST_RECORD])) <= 2 and len(np.unique(command[:LONGEST_RECORD])) > 2
-    meanwhile = [float(np.ptp(command[rows])) for rows in _standing_still(values)]
-    passed = 1.0 if few else max(meanwhile, default=0.0) / float(np.ptp(command))
+    still = max(_standing_still(values), key=lambda rows: float(np.ptp(command[rows])), default=slice(0, 1))
+    passed = 1.0 if few else float(np.ptp(command[still])) / float(np.ptp(command))
     if passed <= FROZEN or (not few and rails(command, values) is not None):
         return None
-    return Finding("dead_sensor", trial.name, trial.axes[index], passed, FROZEN)
+    if few:
+        detail, remedy = "(all its samples have one value, or two)", ""
+    else:
+        begin, count = still.start, int(np.flatnonzero(np.diff(values[still.start :], append=np.nan))[0]) + 1
+        detail = (
+            f"(on {values[begin]:.4g} {trial.unit} for {count} samples from {begin * trial.sample_time:.4g} s on, in which the "
+        )
+        detail += f"command passes {100 * passed:.0f} % of its range)"
+        remedy = "check the sensor and its cable, or keep the rows before or after (hyst edit --from, --to)"
+    return Finding("dead_sensor", trial.name, trial.axes[index], passed, FROZEN, detail, remedy)
 
 
 def _standing_still(values: Array) -> list[slice]:

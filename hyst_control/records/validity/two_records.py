@@ -11,7 +11,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.records.averaged_spectra import FEWEST_LINES, LONGEST_SEGMENT, SEGMENTS, SHORTEST_SEGMENT, Spectra
-from hyst_control.records.validity.findings import Finding, Trial
+from hyst_control.records.validity.findings import Finding, Trial, times
 from hyst_control.records.validity.rows import MAX_PAIRED
 
 PAIRED = 0.3  # Mean share by which another pairing of commands and measurements explains more
@@ -42,7 +42,8 @@ def findings_between(
     one, other = trials
     name = f"{one.name} and {other.name}"
     if one.axes != other.axes:
-        yield Finding("different_plants", name, "", float(len(other.axes)), float(len(one.axes)))
+        counts = len(one.axes), len(other.axes)
+        yield Finding("different_plants", name, "", float(counts[1]), float(counts[0]), f"({counts[0]} and {counts[1]} axes)")
         return
     duration = min(len(trial.command) * trial.sample_time for trial in (one, other)) / SEGMENTS
     lengths = [int(round(duration / trial.sample_time)) for trial in (one, other)]
@@ -72,11 +73,11 @@ def findings_between(
         difference = float(np.median(np.abs(first - second) / np.maximum(largest, 1e-300)))
         ratio = float(np.median(np.abs(first) / np.maximum(np.abs(second), 1e-300)))
         if cosine < OPPOSED:
-            yield Finding("sign_turned", name, axis, cosine, OPPOSED)
+            yield Finding("sign_turned", name, axis, cosine, OPPOSED, f"(correlation {cosine:.2g})")
         elif not 1.0 / SCALE < ratio < SCALE:
-            yield Finding("scaled_measurement", name, axis, ratio, SCALE if ratio > 1 else 1.0 / SCALE)
+            yield Finding("scaled_measurement", name, axis, ratio, SCALE if ratio > 1 else 1.0 / SCALE, times(ratio))
         elif difference > limit:
-            yield Finding("different_plants", name, axis, difference, limit)
+            yield Finding("different_plants", name, axis, difference, limit, f"(by {100 * difference:.0f} %)")
 
 
 def _exchanged_axes_between(spectra: Sequence[Spectra], name: str, axes: Sequence[str]) -> list[Finding]:
