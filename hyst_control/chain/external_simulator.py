@@ -20,7 +20,6 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
@@ -134,6 +133,8 @@ class ExternalSimulator(Modifier):
                 return float(np.max(np.abs(motion(held))))
             except InputError:
                 return float(np.inf)
+
+        from scipy.optimize import least_squares  # only here, it takes long to load
 
         zero, far = np.zeros(command.shape[1]), command[np.argmax(np.abs(command).sum(axis=1))]
         apart = np.max(np.abs(self.settled(far, sample_time) - self.settled(zero, sample_time)))

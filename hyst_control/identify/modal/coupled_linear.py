@@ -201,18 +201,17 @@ def _search(records: Sequence[Record], options: LinearOptions) -> tuple[Candidat
     tried: list[tuple[float, int, Candidate]] = []
     lowest, stale = np.inf, 0
     for index, order in enumerate(orders):
-        begins = [(number, starts[number][index]) for number in range(len(variants))]
+        fresh = [(number, refined(train, starts[number][index], *more, TRIAL_ITERATIONS)) for number, (_, *more) in enumerate(variants)]
         if tried:
             _, number, smaller = min(tried, key=lambda each: each[0])
-            begins += [(number, grown(smaller.model, train, order))] * (order > smaller.model.states)
-        fresh = [(number, refined(train, start, *variants[number][1:], TRIAL_ITERATIONS)) for number, start in begins]
+            if order > smaller.model.states and min(each.fitted for _, each in fresh) > smaller.fitted:
+                # A larger model fits no worse than a smaller one from where that ended.
+                fresh.append((number, refined(train, grown(smaller.model, train, order), *variants[number][1:], TRIAL_ITERATIONS)))
         # The best one is fitted to the end: what it has not reached yet would count for the next order.
         number, best = min(fresh, key=lambda each: each[1].fitted)
         fresh.append((number, refined(train, best.model, *variants[number][1:], options.iterations)))
         told = told_poles(fresh[-1][1])
-        if (
-            options.order is None and np.any(told) and not np.all(told)
-        ):  # without its noise, a model may be the best one of fewer states
+        if options.order is None and np.any(told) and not np.all(told):  # without its noise it may be the best one of fewer states
             fresh.append((number, refined(train, with_poles(fresh[-1][1].model, told), *variants[number][1:], options.iterations)))
         for number, candidate in fresh:
             candidate = replace(candidate, held_out=error_of(candidate.model, test) if test else np.nan)
