@@ -14,6 +14,7 @@ from scipy.signal import cont2discrete
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.excitation import build
 from hyst_control.records.excitation.identification_signals import mhl_identification
+from hyst_control.records.validity import causality
 from hyst_control.records.validity.beside_model import model_findings
 from hyst_control.records.validity.checks import examined, refuse_invalid
 from hyst_control.records.validity.findings import NAMES, Finding, Trial
@@ -282,6 +283,15 @@ def test_spoilt_records_are_named_as_what_they_are(plant, kind, spoil):
         assert found <= expected
     else:
         assert found == expected
+
+
+def test_an_exchanged_record_is_no_matter_of_its_clocks(monkeypatch):
+    """The lead of an inverse may grow over a record, as what is excited changes; the clocks of a sound record stay a note."""
+    sound = trial("pea", "diagnostic")
+    clocks = [Finding("clock_difference", sound.name, "x", 1e-4, 0.0)]
+    monkeypatch.setattr(causality, "clock_difference", lambda *_: clocks)
+    assert names(exchanged(sound, None)) == {"swapped_signals"}
+    assert causality.direction_findings(sound, causality.CondensedRows.of(sound), 0) == clocks
 
 
 def test_only_the_axis_that_is_dead_is_named():

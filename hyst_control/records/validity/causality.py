@@ -69,7 +69,9 @@ def direction_findings(trial: Trial, left: CondensedRows, index: int) -> list[Fi
     if whole and not (in_no_order(trial.command[:, index]) and coherent_share(trial, index) < EXPLAINED):
         informative = independent_sines(left.command[:, index]) >= MIN_SINES
         if shifts := clock_difference(trial, index) or (growing_lead(trial, index) if informative else []):
-            return shifts
+            # Of an exchanged record the lead of the inverse varies with what is excited when.
+            found = _alternative(trial, left, index, ahead)[1]
+            return found if any(each.name == "swapped_signals" for each in found) else shifts
         delayed, own, lead, shifts = time_shifts(trial, left, index, ahead)
         if fast is not left and quick.unexplained < SOUND:
             # The rows that show a lead best follow their command: of averaged rows a model of few states is not that exact.
