@@ -201,7 +201,10 @@ def _search(records: Sequence[Record], options: LinearOptions) -> tuple[Candidat
     tried: list[tuple[float, int, Candidate]] = []
     lowest, stale = np.inf, 0
     for index, order in enumerate(orders):
-        fresh = [(number, refined(train, starts[number][index], *more, TRIAL_ITERATIONS)) for number, (_, *more) in enumerate(variants)]
+        fresh = [
+            (number, refined(train, starts[number][index], direct, free, TRIAL_ITERATIONS))
+            for number, (_, direct, free) in enumerate(variants)
+        ]
         if tried:
             _, number, smaller = min(tried, key=lambda each: each[0])
             if order > smaller.model.states and min(each.fitted for _, each in fresh) > smaller.fitted:
