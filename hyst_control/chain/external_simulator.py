@@ -42,7 +42,7 @@ RESTED = 64  # Samples of a call at rest: more than a function shifts its sample
 REST_TRIALS = 10  # Steps of the search for the command at which it rests
 STEPS = 4  # Steps a tick of a function that can be called at finer ones
 SAME = 1e-4  # Share of the range by which its samples may differ between both as they are
-ALIKE = 1e-2  # The same where the difference on a held command is taken off: integration errors of a step that follows the tick's
+ALIKE = 1e-2  # The same where the difference on a held command is subtracted: integration errors of a step that follows the tick's
 # How far half a tick of delay moves its samples, as a share of what a whole tick does: nothing, or all of it, where a sample follows from
 # a single step, as of a gain. A delay of a part of a tick has no size there.
 HALF_DELAY = (0.1, 0.9)

@@ -25,7 +25,7 @@ from hyst_control.model_file import simulate as simulated
 from hyst_control.records.record import Record
 
 MOVING = 0.5  # Share of the ticks at which a command moves that may be smooth between them
-MIN_ROWS = 64  # Rows from which a residual tells its noise
+MIN_ROWS = 64  # Rows from which the noise of a residual can be estimated
 NOISE_ALONE = 1.1  # Rms of what a model leaves, as a multiple of its noise, up to which that is noise alone
 MARGIN = 10.0  # Nats by which another one has to leave more
 FIT_TRIALS = 5  # Steps of the fit of the parameters for that comparison
@@ -134,7 +134,7 @@ def simulator_notes(model: Model | None, records: Sequence[Record]) -> list[str]
 
 
 def finer_note(differs: float) -> str:
-    """Tell of a function that has other samples at finer steps; "" of one that has the same."""
+    """Note on a function that has other samples at finer steps; "" of one that has the same."""
     if differs <= ALIKE:
         return ""
     found = f"its samples differ by {100.0 * differs:.2g} % of the range" if np.isfinite(differs) else "it fails"
@@ -145,7 +145,7 @@ def finer_note(differs: float) -> str:
 
 
 def unit_note(model: Model, record: Record) -> str:
-    """Tell of a measurement that is the simulation times a factor between units; "" where there is none."""
+    """Note on a measurement that is the simulation times a factor between units; "" where there is none."""
     parts = record.aligned(allow_gaps=True)
     try:
         pairs = [(simulated(model, part.command), part.measurement) for part in parts]

@@ -15,7 +15,7 @@ from hyst_control.base.arrays import Array, Complex
 from hyst_control.records.record import Record
 from hyst_control.records.session_zero import without_zero
 
-ROWS, MIN_ROWS = 2**16, 1024  # First rows of a record that are looked at, and fewer that tell nothing
+ROWS, MIN_ROWS = 2**16, 1024  # First rows of a record that are looked at, and too few to find a line in
 SECTIONS, STEADY = 8, 0.8
 """Sections of a record, and the share of their power that one steady sine has: ringing begins anew, and motion changes its phase."""
 STRONG, LARGE = 0.05, 1e-3  # Least share of the error's power, and least amplitude in the range, that are reported

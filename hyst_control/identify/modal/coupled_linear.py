@@ -48,7 +48,7 @@ DRIFT_LAGS, DRIFT_ROWS = 64, 50_000
 WORTHWHILE_DRIFT = 0.03  # Least share of what that response leaves of a record that a drift explains, to be removed
 DISTINCT = 0.2  # Share of a ramp that the command must not explain for a drift to be told from the plant's answer
 COUPLED_ORDERS = (2, 4, 6, 8, 10, 12, 16, 20, 26, 32, 40)
-UNSURE_DECAY = 1.0  # Standard deviation of the logarithm of a pole's decay from which the data do not tell it
+UNSURE_DECAY = 1.0  # Standard deviation of the logarithm of a pole's decay from which the data do not determine it
 TRIAL_ITERATIONS = 12  # Most steps of the refinement of a model that is compared
 
 
@@ -165,12 +165,12 @@ def grown(model: ModalModel, data: Sequence[Spectra], order: int) -> ModalModel:
     )
 
 
-def told_poles(candidate: Candidate) -> NDArray[np.bool_]:
-    """Report of which poles (n,) the data tell the decay, which they do not of a mode that is made of noise."""
+def determined_poles(candidate: Candidate) -> NDArray[np.bool_]:
+    """True for poles (n,) whose decay the data determine, which they do not for a mode that is made of noise."""
     index, spread = candidate.covariance()
     decays = candidate.layout.indices("pole", -1, 2)[:, 0]
-    told: NDArray[np.bool_] = np.diag(spread)[np.isin(index, decays)] <= UNSURE_DECAY**2
-    return told
+    found: NDArray[np.bool_] = np.diag(spread)[np.isin(index, decays)] <= UNSURE_DECAY**2
+    return found
 
 
 def with_poles(model: ModalModel, kept: NDArray[np.bool_]) -> ModalModel:
@@ -213,9 +213,9 @@ def _search(records: Sequence[Record], options: LinearOptions) -> tuple[Candidat
         # The best one is fitted to the end: what it has not reached yet would count for the next order.
         number, best = min(fresh, key=lambda each: each[1].fitted)
         fresh.append((number, refined(train, best.model, *variants[number][1:], options.iterations)))
-        told = told_poles(fresh[-1][1])
-        if options.order is None and np.any(told) and not np.all(told):  # without its noise it may be the best one of fewer states
-            fresh.append((number, refined(train, with_poles(fresh[-1][1].model, told), *variants[number][1:], options.iterations)))
+        sure = determined_poles(fresh[-1][1])
+        if options.order is None and np.any(sure) and not np.all(sure):  # without its noise it may be the best one of fewer states
+            fresh.append((number, refined(train, with_poles(fresh[-1][1].model, sure), *variants[number][1:], options.iterations)))
         for number, candidate in fresh:
             candidate = replace(candidate, held_out=error_of(candidate.model, test) if test else np.nan)
             rows.append(
@@ -229,7 +229,7 @@ def _search(records: Sequence[Record], options: LinearOptions) -> tuple[Candidat
                     "delay_samples": [float(value) for value in candidate.model.delay],
                 }
             )
-            if not index or (np.all(told_poles(candidate)) and not beyond_reach(candidate.model, train)):
+            if not index or (np.all(determined_poles(candidate)) and not beyond_reach(candidate.model, train)):
                 tried.append((candidate.held_out if test else information(candidate, train), number, candidate))
         before, lowest = lowest, min(score for score, _, _ in tried)
         stale = stale + 1 if np.isfinite(before) and lowest >= before - negligible * abs(before) else 0

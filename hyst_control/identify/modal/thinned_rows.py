@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Long records of slow motions at a lower rate, at which a search of structures sees them from end to end.
 
-Each command is the mean of those held during the longer interval, which a plant slower than that cannot tell from them; each measurement
+Each command is the mean of those held during the longer interval, which moves a plant slower than that alike; each measurement
 the mean around its instant.
 """
 
@@ -19,13 +19,13 @@ from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.stream.row_store import spread_parts
 
 SEGMENT, FEWEST, LOOKED_AT = 4096, 64, 2**20
-"""Rows of the segments whose spectra are looked at, lines beyond a frequency that tell motion from noise, and rows looked at."""
+"""Rows of the segments whose spectra are looked at, lines beyond a frequency that separate motion from noise, and rows looked at."""
 MOVES = 2.0  # Ratio of a segment's power beyond a frequency to that of the noise there, from which it moves
 RATE = 20.0  # Least sample rate, in highest frequencies of the motion
 
 
 def thinning(windows: Sequence[Window], rows: int) -> int:
-    """Number of samples to take the mean of, so that so many rows hold the records; fewer where their motion is too fast for that."""
+    """Number of samples whose mean is one row, so that the records fit into so many rows; fewer where their motion is too fast for it."""
     total = sum(len(window.command) for window in windows)
     if total <= rows or any(window.memory is not None for window in windows):
         return 1
