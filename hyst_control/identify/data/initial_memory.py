@@ -38,7 +38,7 @@ LEG, LEG_ROWS = 0.05, (500, 2000)
 """Time (s) of a smooth way between two remembered turning points, and its least and largest number of rows."""
 
 VIRGIN, FILLED = "at rest at 0 V, on the initial loading curve", "unknown: counted from where both extremes have been met"
-PERIODIC, ESTIMATED = "periodic: preceded by itself", "amid a motion: turning points before it estimated"
+PERIODIC, ESTIMATED = "periodic: preceded by itself", "with the memory of an earlier motion: turning points before it estimated"
 
 
 @dataclass(frozen=True)
