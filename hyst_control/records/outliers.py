@@ -46,7 +46,7 @@ def outlying(
 
 
 def _largest_answer(size: Annotated[Array, "N A"], command: Annotated[Array, "N C"], threshold: float) -> Annotated[Array, "N A"]:
-    """How far samples may stand out that answer a jump of the command by one as short; 0 far from all jumps."""
+    """Largest size of a sample that a jump of the command nearby explains; 0 where there is none."""
     from scipy.ndimage import maximum_filter, percentile_filter
 
     steps = np.abs(np.diff(command, axis=0, prepend=command[:1]))

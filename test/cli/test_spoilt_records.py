@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a fit leaves of a record that was spoilt: a hum, and a machine that changes in mid-record, are named."""
+"""Notes of `hyst identify` on a residual with mains hum, and on a machine whose gain changes within the record."""
 
 import json
 

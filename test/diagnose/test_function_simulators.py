@@ -65,7 +65,6 @@ def test_a_record_begins_with_a_step_from_rest(effect, parameter, before, size):
     command[:20] = 8.0
     measurement = spring(before(np.repeat(command, 20)), 1e-4, **TRUTH)[::20]
     gap = diagnosed(command, measurement + noise(len(command)))
-    print(gap)
     [found] = gap.document["effects"]
     assert (gap.verdict, found["name"]) == ("effect", effect)
     assert found["parameters"][parameter]["value"] == pytest.approx(size, rel=0.03)
@@ -78,7 +77,6 @@ def test_a_smooth_command_is_no_gap(hold):
 
     fine, ticks = np.arange(30000) * 1e-4, np.arange(1500) / RATE
     gap = diagnosed(command(ticks), spring(command(fine), 1e-4, **TRUTH)[::20] + noise(1500), hold)
-    print(gap)
     assert gap.verdict == "no_gap"
     assert any("taken as smooth" in note for note in gap.document["notes"]) == (hold is None)
 

@@ -183,7 +183,7 @@ def _alike(commands: Sequence[Array]) -> bool:
 
 
 def _gains(data: Record, error: Array, axis: int) -> tuple[float, ...]:
-    """How many times as large as the model's the measured motion of each part of a record is, by least squares."""
+    """Least-squares gain of the measurement over the model's output, for each part of a record."""
     measured = np.array_split(data.measurement[len(data.measurement) - len(error) :, axis], PARTS)
     models = [values - part for values, part in zip(measured, np.array_split(error, PARTS), strict=True)]
     about = [(model - model.mean(), values) for model, values in zip(models, measured, strict=True)]

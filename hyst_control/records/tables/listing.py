@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,18 +41,8 @@ SURE_WORDS = {
     "feedback": ("feedback",),
 }
 """First words of names that say what a column is: an "output" may be a sensor's or a converter's, and is not among them."""
-WORDS_BEHIND = (
-    "x",
-    "y",
-    "z",
-    "axis",
-    "stage",
-    "piezo",
-    "voltage",
-    "signal",
-    "value",
-    "values",
-)  # "position error" is another thing
+WORDS_BEHIND = frozenset("x y z axis stage piezo voltage signal value values".split())
+"""Words that may follow: a "position error" is another thing."""
 
 RESPONSE_WORDS = (
     ("frequency", ("freq", "omega", "f", "w")),
@@ -98,22 +89,26 @@ def named_columns(path: Path, variable: str | None = None, skip: int = 0, has_ra
         if topic is None or one.unit is None or not _is_accepted(topic, one.unit) or not _can_be_asked(one.asked):
             return None
         groups.setdefault(topic, []).append(one)
-    times = groups.get(TIME, [])
-    is_clear = len(times) == 1 or (not times and (has_rate or sample_time is not None))
+    times = len(groups.get(TIME, []))
+    is_timed = times == 1 or (times == 0 and (has_rate or sample_time is not None))
     axes = {len(group) for topic, group in groups.items() if topic != TIME}
-    if not {"command", "measurement"} <= set(groups) or not is_clear or len({len(one.values) for one in found}) + len(axes) != 2:
+    lengths = {len(one.values) for one in found}
+    if not {"command", "measurement"} <= set(groups) or not is_timed or len(axes) > 1 or len(lengths) > 1:
         return None
-    return ",".join(
-        f"{topic}={'+'.join(f'{one.asked}[{one.unit}]' for one in group)}" if len({one.unit for one in group}) > 1
-        else f"{topic}={'+'.join(one.asked for one in group)}[{group[0].unit}]"
-        for topic, group in groups.items()
-    )  # fmt: skip
+    return ",".join(f"{topic}={_in_units(group)}" for topic, group in groups.items())
+
+
+def _in_units(group: Sequence[_Found]) -> str:
+    """Columns of a signal as the description has them, the unit once where they share it."""
+    if len({one.unit for one in group}) == 1:
+        return f"{'+'.join(one.asked for one in group)}[{group[0].unit}]"
+    return "+".join(f"{one.asked}[{one.unit}]" for one in group)
 
 
 def _sure_topic(one: _Found) -> str | None:
     """The signal that a name stands for, where all of its words say so."""
     parts = re.findall(r"[^\W\d_]+", without_unit(one.title or one.asked).lower().removesuffix(f"_{(one.unit or '').lower()}"))
-    if not parts or not set(parts[1:]) <= set(WORDS_BEHIND):
+    if not parts or not set(parts[1:]) <= WORDS_BEHIND:
         return None
     return next((topic for topic, words in SURE_WORDS.items() if parts[0] in words), None)
 

@@ -50,7 +50,7 @@ def incoherence_findings(trial: Trial, index: int, ahead: Reference, command: Ar
     fits = (fit for other in commands for fit in (linear_reference(other, measured), continued(other, measured, own)))
     if own.unexplained < LINEAR_FOLLOWS * min(fit.unexplained for fit in fits):
         return []
-    detail = f"(the command explains {100.0 * explained:.2g} % of its power, {100.0 * EXPLAINED:.0f} % are due)"
+    detail = f"(the command explains {100.0 * explained:.2g} % of its power, at least {100.0 * EXPLAINED:.0f} % expected)"
     return [Finding(_kind_of_incoherence(trial, index), trial.name, trial.axes[index], explained, EXPLAINED, detail)]
 
 
