@@ -6,6 +6,7 @@ examples:
   hyst tune config/models/fsm_mhl.yaml --rate 5000
   hyst tune config/models/fsm_mhl.yaml --rate 5000 --roll-off --at 100
   hyst tune config/models/pea_hampi.yaml --structure damping --output gains.yaml
+  hyst tune config/models/fsm_mhl.yaml --rate 5000 --jitter quiet.csv     # what the loop leaves of a vibration
   hyst tune hampi.yaml --gain-margin 8 --phase-margin 55 --loop-delay 1 --json tuning.json
 """
 
@@ -17,7 +18,7 @@ from hyst_control.reporting.result import CommandResult
 
 NAME = "tune"
 HELP = "tune the PI feedback from a model to stability margins"
-READS = ("model",)
+READS = ("model", "jitter")
 WRITES = ("output",)
 SPREADS = ("gain_spread", "mode_spread", "model_error")
 PASSED_ON = ("gain_margin", "phase_margin", "peak_sensitivity", "loop_delay", *SPREADS, "structure")
@@ -59,6 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "them (auto)",
     )
     add("--output", metavar="GAINS.yaml", help="parameter file of the node pi_feedback to write")
+    add(
+        "--jitter", metavar="RECORD", help="record at rest without feedback: predict the rms that the feedback leaves of its motion"
+    )
     add("--at", type=float, nargs="+", default=[], metavar="HZ", help="print the sensitivity |S| at these frequencies as well")
 
 
@@ -89,6 +93,11 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     table = result.table(model)
     for frequency, value in zip(arguments.at, result.sensitivity(model, arguments.at, arguments.loop_delay), strict=True):
         table.add("PI feedback", f"{frequency:g} Hz", "nominal", "sensitivity", "", value)
+    if arguments.jitter is not None:
+        from hyst_control.control.jitter import jitter
+        from hyst_control.records.bags.bag_reader import read_bag
+
+        jitter(result, model, read_bag(arguments.jitter), arguments.loop_delay).add_to(table)
     if arguments.output is not None:
         gains = {name: value if isinstance(value, list) else float(value) for name, value in result.parameters.items()}
         write_text(arguments.output, yaml.safe_dump({"/**/pi_feedback": {"ros__parameters": gains}}, sort_keys=False))
