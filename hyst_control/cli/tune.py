@@ -13,6 +13,7 @@ examples:
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from hyst_control.reporting.result import CommandResult
 
@@ -96,8 +97,11 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     if arguments.jitter is not None:
         from hyst_control.control.jitter import jitter
         from hyst_control.records.bags.bag_reader import read_bag
+        from hyst_control.records.tables.importing import is_table, read_table
 
-        jitter(result, model, read_bag(arguments.jitter), arguments.loop_delay).add_to(table)
+        path = Path(arguments.jitter)  # a table may hold the measurement alone
+        record = read_table(path, topics=("measurement",)) if is_table(path) else read_bag(path)
+        jitter(result, model, record, arguments.loop_delay).add_to(table)
     if arguments.output is not None:
         gains = {name: value if isinstance(value, list) else float(value) for name, value in result.parameters.items()}
         write_text(arguments.output, yaml.safe_dump({"/**/pi_feedback": {"ros__parameters": gains}}, sort_keys=False))

@@ -94,12 +94,13 @@ def test_the_command_must_rest_and_the_axes_be_those_of_the_model(tmp_path, caps
         jitter(gains, model, at_rest(wander(2)))
 
 
-def test_the_command_line_prints_rms_by_band(tmp_path: Path, capsys):
+@pytest.mark.parametrize("names", ["x [mrad],y [mrad]", "command x [V],command y [V],position x [mrad],position y [mrad]"])
+def test_the_command_line_prints_rms_by_band(names, tmp_path: Path, capsys):
+    """The log of a detector need not have a command."""
     rows, path = wander(2)[:5000], tmp_path / "quiet.csv"
-    table = np.column_stack([STEP * np.arange(len(rows)), np.zeros_like(rows), rows])
-    np.savetxt(
-        path, table, delimiter=",", header="time [s],command x [V],command y [V],position x [mrad],position y [mrad]", comments=""
-    )
+    commands = np.zeros((len(rows), names.count(",") - 1))
+    table = np.column_stack([STEP * np.arange(len(rows)), commands, rows])
+    np.savetxt(path, table, delimiter=",", header=f"time [s],{names}", comments="")
     assert main(["tune", "config/models/fsm_mhl.yaml", "--jitter", str(path)]) == 0
     text = capsys.readouterr().out
     assert "without feedback" in text and "10 to 100 Hz" in text

@@ -15,7 +15,7 @@ from hyst_control.base.arrays import Array, Integers, Mask
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import appearing
 from hyst_control.records.bags.rosbag2_writer import open_bag
-from hyst_control.records.record import Record, Signal, axis_names, check_times
+from hyst_control.records.record import TOPICS, Record, Signal, axis_names, check_times
 from hyst_control.records.stream.row_store import blocks, empty_rows
 from hyst_control.records.stream.signal_message import Encoder, label_for
 from hyst_control.records.tables.array_files import KINDS as ARRAYS
@@ -58,14 +58,16 @@ def is_table(path: Path) -> bool:
     return name.endswith((*TEXTS, *SHEETS, *ARRAYS, *CONTAINERS)) and path.is_file()
 
 
-def read_table(path: Path, columns: str | None = None) -> Record:
+def read_table(path: Path, columns: str | None = None, topics: Sequence[str] = TOPICS) -> Record:
     """The record of a file that holds one run, by a description of its columns or by the names and units that it has itself."""
-    return import_table(path, described_columns(path) if columns is None else parse_columns(columns), None)
+    return import_table(path, described_columns(path, topics=topics) if columns is None else parse_columns(columns), None)
 
 
-def described_columns(path: Path, rate: float | None = None, remedy: str | None = None) -> list[Column]:
+def described_columns(
+    path: Path, rate: float | None = None, remedy: str | None = None, topics: Sequence[str] = TOPICS
+) -> list[Column]:
     """The columns of a file whose names and units say what each is. Raises `InputError` with a suggestion where these do not."""
-    described = named_columns(path, has_rate=rate is not None)
+    described = named_columns(path, has_rate=rate is not None, topics=topics)
     if described is None:
         lines, suggestion = listed_columns(path)
         found = "; ".join(line.strip() for line in lines[1:6]) + "; …" * (len(lines) > 6)

@@ -14,6 +14,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.records.record import TOPICS
 from hyst_control.records.tables.columns import RESPONSE, TIME, TIME_UNITS, parse_columns, unit_and_scale
 from hyst_control.records.tables.frequency_response import check_response_unit
 from hyst_control.records.tables.header import Layout, unit_behind, without_unit
@@ -80,12 +81,17 @@ def listed_columns(path: Path, variable: str | None = None, skip: int = 0) -> tu
     return lines, _suggestion(found, sample_time)
 
 
-def named_columns(path: Path, variable: str | None = None, skip: int = 0, has_rate: bool = False) -> str | None:
-    """The description of a file whose names and units say alone what each column is; None where anything is left to guess."""
+def named_columns(
+    path: Path, variable: str | None = None, skip: int = 0, has_rate: bool = False, topics: Sequence[str] = TOPICS
+) -> str | None:
+    """The description of a file whose names and units say alone what each column is; None where anything is left to guess.
+
+    topics: those that it must have; where that is the measurement alone, every other column is one.
+    """
     found, sample_time = _columns_of(path, variable, skip)
     groups: dict[str, list[_Found]] = {}
     for one in found:
-        topic = _sure_topic(one)
+        topic = _sure_topic(one) or (topics[0] if len(topics) == 1 else None)
         if topic is None or one.unit is None or not _is_accepted(topic, one.unit) or not _can_be_asked(one.asked):
             return None
         groups.setdefault(topic, []).append(one)
@@ -93,7 +99,7 @@ def named_columns(path: Path, variable: str | None = None, skip: int = 0, has_ra
     is_timed = times == 1 or (times == 0 and (has_rate or sample_time is not None))
     axes = {len(group) for topic, group in groups.items() if topic != TIME}
     lengths = {len(one.values) for one in found}
-    if not {"command", "measurement"} <= set(groups) or not is_timed or len(axes) > 1 or len(lengths) > 1:
+    if not set(topics) <= set(groups) or not is_timed or len(axes) > 1 or len(lengths) > 1:
         return None
     return ",".join(f"{topic}={_in_units(group)}" for topic, group in groups.items())
 
