@@ -247,6 +247,7 @@ def test_a_command_whose_worker_is_killed_ends_with_one_line(tmp_path):
     until = time.monotonic() + 120.0
     while not (found := list(workers_of(begun.pid))):
         assert begun.poll() is None and time.monotonic() < until
+        time.sleep(0.01)
     os.kill(found[0], signal.SIGKILL)
     _, told = begun.communicate(timeout=120)
     assert begun.returncode == 2, told

@@ -41,7 +41,7 @@ def interrupted(words: list[str], delay: float, folder) -> tuple[int, str]:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_interrupt_in_the_first_second_is_no_traceback(command, tmp_path):
     begin = time.monotonic()
-    for delay in (0.02, 0.15, 0.3, 0.6, 1.0):
+    for delay in (0.02, 0.2, 0.6):
         status, told = interrupted(COMMANDS[command], delay, tmp_path)
         assert "Traceback" not in told and told.count("\n") <= 1, told
         assert status in (0, 2, 130, -signal.SIGINT), told
@@ -53,7 +53,7 @@ def test_a_command_that_ignores_interrupts_goes_on_ignoring_them(tmp_path):
     """As `nohup` and a shell's background jobs start it."""
     ignoring = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); "
     process = subprocess.Popen(
-        [sys.executable, "-c", ignoring + HYST, "tune", MODEL],
+        [sys.executable, "-c", ignoring + HYST, "excite", "--list"],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -62,7 +62,7 @@ def test_a_command_that_ignores_interrupts_goes_on_ignoring_them(tmp_path):
     assert process.stdout is not None and process.stdout.readline() == "begun\n"
     process.send_signal(signal.SIGINT)
     out, told = process.communicate(timeout=100)
-    assert process.returncode == 0 and "ki" in out and not told
+    assert process.returncode == 0 and "cosine_ramp" in out and not told
 
 
 def test_an_interrupt_that_python_drops_comes_again():

@@ -25,11 +25,11 @@ RECORDS = [
 
 
 def recording(folder, name, tmp_path):
-    """The record's file; of the mirror a table of the first period of one group of realizations."""
+    """The record's file; of the mirror a table of the first period of one realization."""
     if not name.startswith("fsm_cubespec"):
         return folder / name
     kind, file = name.split("/")
-    command, measurement = (np.load(folder / kind / f"{letter}_{file}")[:, :, :3, 0] for letter in "uy")
+    command, measurement = (np.load(folder / kind / f"{letter}_{file}")[:, :, :1, 0] for letter in "uy")
     path = tmp_path / file
     np.save(path, np.hstack([rows.transpose(2, 0, 1).reshape(-1, 3) for rows in (command, 1e6 * measurement)]))
     return path

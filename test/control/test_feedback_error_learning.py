@@ -37,7 +37,7 @@ def test_it_finds_gain_and_lag_of_a_linear_plant(gain, lag):
     """For y = g / (lag s + 1) u the command (r + lag r') / g is due: gain -> 1 / g - 1, and lag -> lag / g, one sample beside."""
     description = FeedbackErrorLearning(TS, time=0.2, corner=0.5, lag_bound=0.02)
     learner = description.start(1)
-    time = np.arange(20000) * TS
+    time = np.arange(8000) * TS
     reference = (10.0 + 5.0 * np.sin(2 * np.pi * 3.0 * time) + 2.0 * np.sin(2 * np.pi * 7.1 * time))[:, None]
     controller = PI(0.3, 40.0, TS, -1e3, 1e3).start(1)
     stage = TransferFunction([gain], [lag, 1.0]) if lag else TransferFunction([gain], [1.0])

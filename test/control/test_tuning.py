@@ -356,11 +356,6 @@ def test_where_no_damping_helps_the_gains_are_those_of_pi_alone():
     assert 0.8 * 700.0 <= float(where[1]) <= 1.25 * 700.0
 
 
-def test_a_refusal_names_the_margin_and_its_frequency(skew):
-    with pytest.raises(InputError, match=r"\(peak sensitivity [\d.]+ at [\d.e-]+ Hz at any gain\)"):
-        tune(skew, mode_spread=0.0)
-
-
 STRUCTURES = ("pi", "pid", "notch", "damping")
 
 
@@ -452,7 +447,7 @@ def growth(found, plants) -> float:
     return float(np.abs(np.linalg.eigvals(loop)).max())
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.floats(-4.0, -0.5), st.floats(150.0, 900.0))
 def test_a_loop_around_a_light_mode_is_stable_wherever_the_spread_has_it(damping, frequency):
     """However narrow the peak is beside the distance of the frequencies that margins are computed at."""
@@ -466,7 +461,7 @@ def test_a_loop_around_a_light_mode_is_stable_wherever_the_spread_has_it(damping
                 assert growth(scaled, {(0, 0): (gain, place * frequency, zeta)}) < 1.0
 
 
-@pytest.mark.parametrize("share, frequency, damping, sign", [(0.1, 60.0, 0.02, -1), (0.3, 60.0, 0.02, 1), (0.1, 100.0, 0.02, -1)])
+@pytest.mark.parametrize("share, frequency, damping, sign", [(0.3, 60.0, 0.02, 1), (0.1, 100.0, 0.02, -1)])
 def test_a_mode_that_only_couples_the_axes_counts(share, frequency, damping, sign):
     def mode(gain, frequency, damping):
         w = 2 * np.pi * frequency
@@ -495,8 +490,8 @@ def test_a_step_of_40_million_ticks_settles_when_its_closed_form_does():
 
 
 @pytest.mark.parametrize("loop_delay", [0, 3])
-def test_the_step_is_that_of_the_simulated_loop(loop_delay):
-    found = tune(MHL, sample_time=2e-4, loop_delay=loop_delay)
+def test_the_step_is_that_of_the_simulated_loop(loop_delay, rolled):
+    found = tune(MHL, sample_time=2e-4, loop_delay=loop_delay) if loop_delay else rolled[0.0]
     stages = [Delay(loop_delay * 2e-4), *linearized(MHL, hysteresis_slopes(MHL)[0])]
     simulated = run_loop(np.ones((400, 2)), None, found.law.start(2), Simulator(MHL.with_stages(stages), 2e-4))["measurement"]
     step = linear_step(stages[1:], 2, found.law, loop_delay)
@@ -505,8 +500,8 @@ def test_the_step_is_that_of_the_simulated_loop(loop_delay):
     assert found.settling_time == pytest.approx((outside[-1] + 1) * 2e-4)
 
 
-def test_a_hundred_light_resonances_settle_in_a_finite_time():
-    count, damping = 100, 0.001
+def test_many_light_resonances_settle_in_a_finite_time():
+    count, damping = 25, 0.001
     a, b, c = np.zeros((2 * count, 2 * count)), np.zeros((2 * count, 1)), np.zeros((1, 2 * count))
     for i, w in enumerate(2 * np.pi * np.linspace(100.0, 2000.0, count)):
         a[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[0.0, w], [-w, -2 * damping * w]]
@@ -516,9 +511,9 @@ def test_a_hundred_light_resonances_settle_in_a_finite_time():
     assert 0.0 < found.settling_time < np.inf and found.worst.peak_sensitivity < 2.001
 
 
-def test_a_model_with_200_poles_is_tuned():
-    """Responses of 1500 frequencies for nine plants: without a system of 200 equations for each of them."""
-    frequencies = 2 * np.pi * np.linspace(100.0, 2000.0, 100)
+def test_a_model_with_many_poles_is_tuned():
+    """Responses of 1500 frequencies for nine plants: without a system of as many equations as there are poles for each of them."""
+    frequencies = 2 * np.pi * np.linspace(100.0, 2000.0, 40)
     stages = tuple(TransferFunction([w**2], [1.0, 1.6 * w, w**2]) for w in frequencies)
     model = Model("long", ("x",), {"command": "V", "measurement": "um"}, 2e-4, Chain(stages))
     found = tune(model)
@@ -547,9 +542,14 @@ def skew():
     return Model("skew", ("x", "y"), {"command": "V", "measurement": "mrad"}, 1e-4, Chain((stage,)))
 
 
-def test_sensitivities_of_mixed_axes_are_singular_values_and_hold_for_every_error_of_the_motion(skew):
+@pytest.fixture(scope="module")
+def tuned_skew(skew):
+    return tune(skew, peak_sensitivity=4.0, mode_spread=0.0)
+
+
+def test_sensitivities_of_mixed_axes_are_singular_values_and_hold_for_every_error_of_the_motion(skew, tuned_skew):
     """Errors (I + E) P with a greatest singular value of E of 15 %, and with the spread of the gain."""
-    found = tune(skew, peak_sensitivity=4.0, mode_spread=0.0)
+    found = tuned_skew
     frequency = np.union1d(np.geomspace(0.05, 5000.0, 300), np.linspace(560.0, 640.0, 200))
 
     def greatest(loops):
@@ -559,7 +559,7 @@ def test_sensitivities_of_mixed_axes_are_singular_values_and_hold_for_every_erro
     assert found.sensitivity(skew, [5.0])[0] > 1.2, "it grows, where the eigenvalues say that it falls"
     assert found.nominal.peak_sensitivity == pytest.approx(greatest(skew_loop(found, frequency)).max(), rel=1e-3)
     random, worst = np.random.default_rng(3), 0.0
-    for _ in range(300):
+    for _ in range(150):
         error = random.normal(size=(2, 2)) + 1j * random.normal(size=(2, 2))
         error *= 0.15 / np.linalg.norm(error, 2)
         worst = max(worst, greatest(skew_loop(found, frequency, random.choice([0.9, 1.1]) * SKEW, error)).max())
@@ -567,11 +567,13 @@ def test_sensitivities_of_mixed_axes_are_singular_values_and_hold_for_every_erro
     assert found.worst.peak_sensitivity <= 4.0
 
 
-def test_a_plant_whose_weak_direction_is_within_the_error_is_noted_or_refused(skew):
+def test_a_plant_whose_weak_direction_is_within_the_error_is_noted_or_refused(skew, tuned_skew):
+    """A refusal names the margin and its frequency."""
     least, greatest = np.linalg.svd(SKEW, compute_uv=False)[[1, 0]]
-    assert f"have {least / greatest:.2g} of their greatest gain" in tune(skew, peak_sensitivity=4.0, mode_spread=0.0).notes[0]
-    with pytest.raises(InputError, match="decouple the axes"):
-        tune(skew, mode_spread=0.0)  # |S| is above 2 at any gain
+    assert f"have {least / greatest:.2g} of their greatest gain" in tuned_skew.notes[0]
+    with pytest.raises(InputError, match=r"\(peak sensitivity [\d.]+ at [\d.e-]+ Hz at any gain\)") as refused:
+        tune(skew, mode_spread=0.0)
+    assert "decouple the axes" in str(refused.value)
 
 
 def test_a_loop_of_a_millionth_of_its_rate_crosses_over_where_its_integral_says():
@@ -596,9 +598,9 @@ def test_a_model_without_dynamics_is_tuned_for_the_band_that_it_is_known_in(rate
     assert "no dynamics" in found.notes[0] and "190 Hz" in found.notes[0] and found.notes[0] in found.table(model).text()
 
 
-def test_margins_that_rest_on_a_response_nobody_has_seen_are_noted():
+def test_margins_that_rest_on_a_response_nobody_has_seen_are_noted(rolled):
     """At 100 kHz the loop of a model of 5 kHz has half its gain, and more, beyond 2.5 kHz."""
-    assert tune(MHL, sample_time=2e-4).notes == ()
+    assert rolled[0.0].notes == ()
     assert "above 2500 Hz" in tune(MHL, sample_time=1e-5).notes[0]
 
 

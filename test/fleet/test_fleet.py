@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from one_process import one_process
 
 from hyst_control.base.errors import InputError
 from hyst_control.cli import main
+from hyst_control.diagnose import workflow
+from hyst_control.effects import EFFECTS
 from hyst_control.fleet.manifest import moment, read_manifest
 from hyst_control.fleet.overview import check_limits, overview
 from hyst_control.fleet.study import _changed
@@ -51,6 +54,13 @@ def fleet(tmp_path):
             lines.append(f"bags/u{unit}_{run},u{unit},{run},model.yaml,{20 + run}.5")
     (tmp_path / "manifest.csv").write_text("\n".join(lines) + "\n")
     return tmp_path
+
+
+@pytest.fixture
+def in_this_process():
+    """Without workers, which would import the package anew: `test_a_study_is_taken_up_where_something_changed` has some."""
+    with one_process():
+        yield
 
 
 def rows(study):
@@ -105,6 +115,7 @@ def test_a_bag_that_cannot_be_read_costs_itself(fleet):
     assert again["computed"] == 2 and len(again["failed"]) == 1, "what failed is tried again"
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_study_in_which_every_record_failed_says_so(tmp_path, capsys):
     (tmp_path / "empty.mcap").write_bytes(b"")
     words = ["fleet", "identify", str(tmp_path / "empty.mcap"), str(tmp_path / "missing"), "--workers", "1"]
@@ -137,21 +148,32 @@ def test_results_that_are_none_are_refused_in_one_line(kind, tmp_path, capsys):
     assert {path: path.read_bytes() for path in study.iterdir()} == before and not (tmp_path / "model.yaml").exists()
 
 
-def test_models_and_diagnoses(fleet):
+def test_models_and_diagnoses(fleet, monkeypatch):
     bag = str(fleet / "bags" / "u2_0")
     common = [bag, "--names", r"(?P<unit>u\d)_(?P<time>\d)", "--workers", "1"]
+    words = [*common, "--model", str(MODEL), "--output", str(fleet / "gaps")]
+    without = [name for name in EFFECTS if name not in ("gain", "offset")]  # which only cost time
+    monkeypatch.setattr(workflow, "diagnose_bags", partial(workflow.diagnose_bags, without=without))
     with one_process():
         assert main(["fleet", "identify", *common, "--family", "hapi", "--output", str(fleet / "models")]) == 0
+        assert main(["fleet", "diagnose", *words]) == 0
     [row] = rows(fleet / "models")
     assert row["family"] == "hapi" and row["parameters"]
     assert load_model(row["model_file"]).axes == ("x",)
-    pytest.importorskip("distributed")
-    words = [*common, "--model", str(MODEL), "--cluster", "local"]
-    assert main(["fleet", "diagnose", *words, "--output", str(fleet / "gaps")]) == 0
     [row] = rows(fleet / "gaps")
     wanted = np.std(record(1.1, 20).signal("measurement").values - record(1.0, 20).signal("measurement").values)
     assert row["verdict"] and row["measurement_unit"] == "um" and row["gap_rms"] > wanted
-    assert main(["fleet", "validate", *words, "--output", str(fleet / "gaps")]) == 2, "a study of another kind"
+    assert main(["fleet", "validate", *words]) == 2, "a study of another kind"
+
+
+def test_a_cluster_of_this_machine_computes_what_a_process_does(fleet):
+    pytest.importorskip("distributed")
+    words = ["fleet", "validate", str(fleet / "bags" / "u2_0"), "--model", str(MODEL), "--workers", "1"]
+    assert main([*words, "--cluster", "local", "--output", str(fleet / "cluster")]) == 0
+    with one_process():
+        assert main([*words, "--output", str(fleet / "process")]) == 0
+    [on_cluster], [here] = rows(fleet / "cluster"), rows(fleet / "process")
+    assert on_cluster["errors"] == here["errors"] and here["errors"]
 
 
 def test_manifests(fleet):
@@ -250,6 +272,7 @@ def test_quantities_that_a_study_may_find_have_limits(kind, quantity):
     check_limits(kind, {quantity: 1.0})
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_columns_of_the_manifest_have_any_name(fleet):
     """Those that a study has itself stand beside its own."""
     path = fleet / "manifest.csv"
@@ -265,6 +288,7 @@ def test_columns_of_the_manifest_have_any_name(fleet):
         assert [found[4][name] for name in given] == [f"{name}4" if name else 4.0 for name in names]
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_numbers_of_the_manifest_are_numbers_in_the_results(fleet):
     """Names and versions stay texts, and so does a column of numbers in which a name turns up later."""
     path, study = fleet / "manifest.csv", fleet / "study"
@@ -282,6 +306,7 @@ def test_numbers_of_the_manifest_are_numbers_in_the_results(fleet):
         assert [found[k]["load"] for k in (0, -1)] == ([2.0, 2.0] if load == "2" else ["2", "new"])
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_validation_of_one_axis_is_named_by_the_axis_of_the_model(fleet):
     """So that the records of a unit are runs of one quantity, whatever their bags are called."""
     assert main(["fleet", "validate", str(fleet / "manifest.csv"), "--output", str(fleet / "study"), "--workers", "1"]) == 0

@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("pyarrow")
 import pyarrow.parquet
+from one_process import one_process
 
 from hyst_control.cli import main
 from hyst_control.model_file import load_model, simulate
@@ -44,7 +45,8 @@ def test_every_axis_is_a_unit(tmp_path):
         "--workers",
         "1",
     ]
-    assert main([*words, "--json", str(tmp_path / "out.json")]) == 0
+    with one_process():
+        assert main([*words, "--json", str(tmp_path / "out.json")]) == 0
     out = json.loads((tmp_path / "out.json").read_text())
     assert (out["computed"], len(out["failed"])) == (20, 1), "a bag that cannot be read costs itself"
     rows = {row["unit"]: row for row in pyarrow.parquet.read_table(tmp_path / "study" / "records.parquet").to_pylist()}

@@ -19,7 +19,7 @@ from targets import TARGETS
 def test_odd_input_is_read_or_refused_in_one_line(name):
     inputs, reader, share = TARGETS[name]
 
-    @settings(max_examples=int(10 + 100 * share), deadline=20_000, database=None, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=int(6 + 100 * share), deadline=20_000, database=None, suppress_health_check=list(HealthCheck))
     @given(st.data())
     def read(data):
         reader(data.draw(inputs))

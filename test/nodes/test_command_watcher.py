@@ -412,19 +412,17 @@ def wait_for_commands(run, watcher, processes):
     wait(lambda: len(watcher.command()) > count + 60 and watcher.last[0] > 25.0, processes)
 
 
-@pytest.mark.parametrize("schedule", ["timer", "lockstep"])
-def test_feedback_that_ends_leaves_nothing_behind(tmp_path, domain, schedule):
+def test_feedback_that_ends_leaves_nothing_behind(tmp_path, domain):
     """By SIGTERM it brings the actuator to its safe value itself; after SIGKILL the watchdog does; it starts again; at last SIGINT.
 
-    In lockstep the last two, as each start of a process takes seconds.
+    In lockstep `test_faults` kills it.
     """
-    common = {"schedule": schedule, "rate_hz": RATE, "timeout": 0.25}
+    common = {"schedule": "timer", "rate_hz": RATE, "timeout": 0.25}
     watcher = CommandWatcher(domain, PERIOD, LOWER, UPPER, SLEW * PERIOD)
     try:
         with ProcessesBesideThread(tmp_path / "log", domain) as processes:
             processes.compose({name: {**own, **common} for name, own in PROCESSES.items()})
-            numbers = (signal.SIGTERM, signal.SIGKILL) if schedule == "timer" else (signal.SIGKILL,)
-            for run, number in enumerate(numbers, 1):
+            for run, number in enumerate((signal.SIGTERM, signal.SIGKILL), 1):
                 feedback = processes.start("pi_feedback", {**FEEDBACK, **common})
                 wait_for_commands(run, watcher, processes)
                 feedback.send_signal(number)
@@ -432,19 +430,18 @@ def test_feedback_that_ends_leaves_nothing_behind(tmp_path, domain, schedule):
                 if number == signal.SIGKILL:
                     assert status == -signal.SIGKILL
                     del processes.running["pi_feedback"]
-                    if schedule == "timer":
-                        wait(lambda: watcher.applied and watcher.applied[-1] == (PLANT_SAFE,), processes)
+                    wait(lambda: watcher.applied and watcher.applied[-1] == (PLANT_SAFE,), processes)
                 else:
                     assert status == 0 and "Traceback" not in processes.log("pi_feedback").read_text()
                     wait(lambda: watcher.last == (SAFE,), processes)
             processes.start("pi_feedback", {**FEEDBACK, **common})
-            wait_for_commands(len(numbers) + 1, watcher, processes)
+            wait_for_commands(3, watcher, processes)
             assert set(processes.stop().values()) == {0}
             assert "Traceback" not in processes.log("pi_feedback").read_text()
             wait(lambda: watcher.last == (SAFE,), processes)  # what was sent last may still be on its way to the watcher
         watcher.check()
         values = [row[0] for row in watcher.applied]
-        assert schedule == "lockstep" or max(np.abs(np.diff(values)), default=0.0) <= SLEW
+        assert max(np.abs(np.diff(values)), default=0.0) <= SLEW
     finally:
         watcher.close()
 

@@ -84,12 +84,12 @@ def test_silent_beside_a_plant_within_tolerance(bench, tmp_path):
 def test_alarm_and_diagnosis_once_a_delay_switches_on(bench, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # calibrated anew, as on the first run
     plant = load_plant(
-        {"plant": "pea_published", "seed": 3, "effects": [{"name": "delay", "tau": 2e-4, "from": 0.4}]}, sample_time=1 / RATE
+        {"plant": "pea_published", "seed": 3, "effects": [{"name": "delay", "tau": 2e-4, "from": 0.2}]}, sample_time=1 / RATE
     )
     bench.listen_to_diagnostics()
-    node, gap, _ = run_loop(bench, tmp_path, plant, 12000, buffer=0.25)
+    node, gap, _ = run_loop(bench, tmp_path, plant, 7000, buffer=0.15)
     alarmed = gap[gap[:, 2] > 0, 0]
-    assert 0.4 < alarmed[0] <= 0.4 + (CONSECUTIVE + 1) * WINDOW
+    assert 0.2 < alarmed[0] <= 0.2 + (CONSECUTIVE + 1) * WINDOW
     assert gap[-1, 2] == 1.0
     bench.until(lambda: bench.says("diagnosis", "gap alarm"))
     started = bench.call(Trigger, "/diagnosis/diagnose", Trigger.Request())

@@ -29,15 +29,14 @@ CONTENT = {
 }
 
 
-@pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize(
-    "columns",
+    ("columns", "packed"),
     [
-        "command=data(1,:)[V],measurement=data(2,:)[um]",
-        "command=rec.u[V],measurement=rec.y[um]",
-        "command=log.day1.drive.u[V],measurement=log/day1/sensor/y[um]",
-        "time=out.time[s],command=out.signals.values(:,1)[V],measurement=out.signals.values(:,2)[um]",
-        "command=runs(2).E[V],measurement=runs(2).P[um]",
+        ("command=data(1,:)[V],measurement=data(2,:)[um]", False),
+        ("command=rec.u[V],measurement=rec.y[um]", True),
+        ("command=log.day1.drive.u[V],measurement=log/day1/sensor/y[um]", False),
+        ("time=out.time[s],command=out.signals.values(:,1)[V],measurement=out.signals.values(:,2)[um]", True),
+        ("command=runs(2).E[V],measurement=runs(2).P[um]", False),
     ],
 )
 def test_structures_of_matlab_by_path(tmp_path, columns, packed):

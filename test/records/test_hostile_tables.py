@@ -229,7 +229,7 @@ def test_a_mat_file_that_crashes_its_reader_is_refused_in_one_line(tmp_path, cap
         assert "is damaged, its reader ended with SIG" in told or "cannot be read as a .mat file" in told
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(st.booleans(), st.lists(st.tuples(st.integers(128, 431), st.integers(0, 255)), min_size=1, max_size=4))
 def test_damage_of_a_mat_file_leaves_this_process_alive(compressed, changes):
     content = mat(compressed)
