@@ -189,7 +189,7 @@ def test_no_coupling_is_found_where_there_is_none_beside_a_response_that_falls_w
 
 def test_slow_loops_alone_say_what_they_cannot_tell():
     fit = identify([records()[1]], "mhl", structure=Structure(modes=1, delay=True))
-    assert any("k1 is not identifiable: " in note for note in fit.report["notes"])
+    assert any("not identifiable" in note and "k1 (any value)" in note for note in fit.report["notes"])
 
 
 def test_a_mode_that_turns_the_correlation_does_not_turn_the_static_gain():
@@ -312,14 +312,3 @@ def test_a_third_mode_is_found():
     poles = np.roots(den)
     light = np.sort(np.abs(poles[(poles.imag > 0) & (-poles.real < 0.1 * np.abs(poles))])) / (2 * np.pi)
     np.testing.assert_allclose(light, [310.0, 1100.0, 2600.0], rtol=3e-3)
-
-
-def test_notes_name_poles_by_their_frequency():
-    structure = Structure(modes=1, lags=1, zeros=1, delay=True)
-    factors = structure.factors(
-        np.array([np.log(2 * np.pi * 2200.0), np.log(0.03), np.log(2 * np.pi * 50.0), 0.5, 0.3]),
-        np.array([0.1, 20.0, 1.0, 0.1, 0.0]),
-    )
-    assert factors[1] == ("the damping of the pole pair at 2200 Hz", pytest.approx(0.03), pytest.approx(0.6), "")
-    assert factors[2] == ("the frequency of the real pole", pytest.approx(50.0), pytest.approx(50.0), "Hz")
-    assert factors[3][1:] == (pytest.approx(100.0), pytest.approx(20.0), "Hz")

@@ -130,3 +130,16 @@ def test_axes_get_no_modes_of_noise():
     assert fit.report["states"] == 8
     found = sorted(row["value"] for row in fit.report["parameters"] if row["name"].startswith("frequency"))
     assert found == pytest.approx([310.0, 345.0, 760.0, 900.0], rel=2e-3)
+
+
+@pytest.mark.parametrize("late", [3_000, 15_000])
+def test_a_long_staircase_is_searched_where_it_steps(late):
+    """Steps of 2.5 s at 10 kHz: evenly spread parts of a second hold none, or few."""
+    step, random = 1e-4, np.random.default_rng(3)
+    command = np.repeat(random.uniform(-10.0, 10.0, 20), 25_000)[late:]
+    motion = 0.3 * mode(300.0, 0.02, command, step)
+    fit = fitted(command, motion + 1e-3 * np.ptp(motion) * random.normal(size=len(motion)), step)
+    fresh = np.append(0.0, random.uniform(-10.0, 10.0, 20_000))  # from rest
+    truth = 0.3 * mode(300.0, 0.02, fresh, step)
+    left = simulate(fit.model, fresh[:, None], step, "zoh")[:, 0] - truth
+    assert np.std(left) < 1e-3 * np.std(truth)

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from evaluation.benchmarks import coverage
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay
-from hyst_control.identify.data.excited_band import excited_band
+from hyst_control.identify.data.excited_band import excited_band, highest_above
 from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.parameter_covariance import limited_root, uncertainty_of
@@ -79,6 +79,16 @@ def test_sines_excite_their_own_frequency_and_a_step_far_more():
     assert excited_band([window(stepped, 1e-4)]) > 1000.0
     # What drowns in the noise is not excited.
     assert excited_band([window(stepped, 1e-4, 1.0)]) < 300.0
+
+
+def test_a_motion_ends_where_it_sinks_into_the_noise_however_fast_the_command_is():
+    """White noise behind two poles at 100 Hz: the command goes on to 10 kHz, the motion is far above its noise up to some 350 Hz."""
+    random, pole = np.random.default_rng(0), np.exp(-2 * np.pi * 100.0 * 5e-5)
+    command = random.normal(size=40000)
+    motion, noise = lfilter([(1 - pole) ** 2], [1.0, -2 * pole, pole**2], command), random.normal(0.0, 2e-3, len(command))
+    assert 250.0 < highest_above(motion, noise, 5e-5) < 450.0
+    assert highest_above(motion, noise, 5e-5) == pytest.approx(highest_above(motion, 2e-3, 5e-5), rel=0.05)
+    assert excited_band([Window(command, motion + noise, 5e-5, "zoh", 0, 0)]) > 9000.0
 
 
 def test_a_pole_is_no_faster_than_the_records_can_tell():

@@ -31,7 +31,7 @@ from hyst_control.identify.assess.fit_report import (
     with_state,
 )
 from hyst_control.identify.assess.residual_lines import line_notes
-from hyst_control.identify.data.excited_band import excited_band
+from hyst_control.identify.data.excited_band import excited_band, highest_above
 from hyst_control.identify.data.fit import Fit, Number, ParameterRow, Report, StructureRow
 from hyst_control.identify.data.fit_windows import as_window
 from hyst_control.identify.data.initial_memory import beginning_rows
@@ -154,6 +154,19 @@ def _known_band(records: Sequence[Record], stages: Sequence[Stage]) -> float:
     return max(power, min(map(excited, range(len(records[0].axes)))))
 
 
+def _motion_ends(records: Sequence[Record], residuals: Sequence[Array]) -> float:
+    """Frequency (Hz) up to which the model's output on every axis is well above what the model leaves."""
+
+    def ends(axis: int) -> float:
+        return max(
+            highest_above(data.measurement[-len(error) :, axis][part] - error[part, axis], error[part, axis], data.sample_time)
+            for data, error in zip(records, residuals, strict=True)
+            for part in spread_parts(len(error), SPECTRUM_ROWS)
+        )
+
+    return min(map(ends, range(len(records[0].axes))))
+
+
 def fit_of(
     records: Sequence[Record],
     axes: Sequence[AxisFit],
@@ -205,7 +218,7 @@ def fit_of(
         "notes": [
             *(note for axis, own in zip(axes, found, strict=True) for note in axis.notes(own)),
             *line_notes(begun, [_with_free_motion(model, data, error) for data, error in zip(begun, residuals, strict=True)]),
-            *known.notes(f"The commands excite the motion up to {model.valid['frequency'][1]:.3g} Hz."),
+            *known.notes(f"The commands excite the motion up to {_motion_ends(records, residuals):.3g} Hz."),
         ],
         "beginnings": beginning_rows(begun),
     }

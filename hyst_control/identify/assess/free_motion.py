@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
@@ -14,6 +13,7 @@ from hyst_control.chain.chain import SeriesFilter
 from hyst_control.chain.linear.linear_filter import LinearFilter
 from hyst_control.chain.memoryless import StaticFilter
 from hyst_control.chain.stage import Sampling
+from hyst_control.identify.solve.chain_batch import Decay
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 from hyst_control.records.session_zero import basis
@@ -21,7 +21,6 @@ from hyst_control.records.stream.row_store import blocks
 
 ROWS = 2**16  # First rows of a record from which its motion from before is estimated
 MOST_LEFT = 0.5  # Share of an error's energy that its free motion may leave where there is one
-GONE = 1e-9  # Share of the largest free motion under which it has died away
 SMALLEST = 1e-4
 """Relative singular value from which a motion is estimated beside the others and the session's zero and drift."""
 
@@ -32,10 +31,12 @@ def without_free_motion(model: Model, data: Record, error: Annotated[Array, "N A
     if running is None:
         return
     count, coupled = min(len(error), ROWS), len(running.a) == 1
-    motion = free_motion(running, count)
-    states = states_of(motion, error[:count], coupled)
-    for rows, motion in _by_block(running, len(error)):
-        error[rows] -= np.einsum("ina,ia->na", motion, states)
+    states = states_of(free_motion(running, count), error[:count], coupled)
+    decays = _decays(running)
+    for part in blocks(len(error)):
+        for axis, decay in enumerate(decays):
+            if not decay.is_over:
+                error[part, axis] -= decay.rows(part.stop - part.start) @ states[:, axis]
 
 
 def moves_already(motion: Annotated[Array, "n N A"], error: Annotated[Array, "N A"], coupled: bool) -> bool:
@@ -50,10 +51,7 @@ def moves_already(motion: Annotated[Array, "n N A"], error: Annotated[Array, "N 
 
 def free_motion(dynamics: LinearFilter, count: int) -> Annotated[Array, "n N A"]:
     """First `count` outputs of dynamics without an input, for each state, 1 at the beginning, by itself."""
-    found = np.zeros((dynamics.a.shape[1], count, len(dynamics.a) * dynamics.c.shape[1]))
-    for rows, motion in _by_block(dynamics, count):
-        found[:, rows] = motion
-    return found
+    return np.stack([decay.rows(count).T for decay in _decays(dynamics)], axis=2)
 
 
 def ending_dynamics(model: Model, sample_time: float, hold: str) -> LinearFilter | None:
@@ -81,19 +79,6 @@ def states_of(motion: Annotated[Array, "n N A"], error: Annotated[Array, "N A"],
     return states
 
 
-def _by_block(dynamics: LinearFilter, count: int) -> Iterator[tuple[slice, Annotated[Array, "n rows A"]]]:
-    """Block by block what each state, 1 at the beginning, adds to the outputs without an input, until all has died away."""
-    systems, states = dynamics.a.shape[:2]
-    axes = systems * dynamics.c.shape[1]
-    running = [dynamics.another() for _ in range(states)]
-    still = [each.settle(np.zeros(axes)) for each in running]
-    for i, each in enumerate(running):
-        each.state[:, i] = 1.0
-    largest = 0.0
-    for rows in blocks(count):
-        nothing = np.zeros((rows.stop - rows.start, axes))
-        motion = np.stack([each.process(nothing) - zero for each, zero in zip(running, still, strict=True)])
-        yield rows, motion
-        largest = max(largest, float(np.abs(motion).max()))
-        if float(np.abs(motion[:, -1]).max()) < GONE * largest and max(np.abs(each.state).max() for each in running) < GONE:
-            return
+def _decays(dynamics: LinearFilter) -> list[Decay]:
+    """The free motion of every output."""
+    return [Decay(transition, row) for transition, rows in zip(dynamics.a, dynamics.c, strict=True) for row in rows]

@@ -32,8 +32,27 @@ final place is within the band."""
 
 def excited_band(windows: Sequence[Window]) -> float:
     """Highest frequency that the command excites enough to tell the dynamics there."""
-    slope = max(np.ptp(window.measurement) for window in windows) / max(np.ptp(window.command) for window in windows)
-    return max(_band(window, float(slope)) for window in windows)
+    slope = float(max(np.ptp(window.measurement) for window in windows) / max(np.ptp(window.command) for window in windows))
+    return max(
+        highest_above(slope * window.command, measurement_noise(window.measurement, window.sample_time), window.sample_time)
+        for window in windows
+    )
+
+
+def highest_above(motion: Annotated[Array, "N"], noise: float | Annotated[Array, "N"], sample_time: float) -> float:
+    """Highest frequency at which a motion is well above a noise, the rms of a white one or its samples."""
+    size, taper = _segment(len(motion), sample_time)
+    frequencies = np.fft.rfftfreq(size, sample_time)
+    white = np.full(len(frequencies), np.square(noise) * np.sum(taper**2)) if np.ndim(noise) == 0 else None
+    highest = 0.0
+    for begin in _begins(len(motion), size):
+        part = slice(begin, begin + size)
+        quiet = _power(np.asarray(noise)[part], taper) if white is None else white
+        beyond, beyond_noise = (np.cumsum(power[::-1])[::-1] for power in (_power(motion[part], taper), quiet))
+        told = (beyond > ABOVE_NOISE**2 * beyond_noise) & (beyond > MIN_SHARE**2 * beyond[0])
+        if beyond[0] > 0.0 and np.any(told):
+            highest = max(highest, float(frequencies[np.flatnonzero(told)[-1]]))
+    return highest
 
 
 def lowest_frequency(commands: Sequence[Array], sample_time: float) -> float:
@@ -55,21 +74,6 @@ def measurement_noise(values: Annotated[Array, "N"], sample_time: float) -> floa
     power = np.mean([_power(values[begin : begin + size], taper) for begin in _begins(len(values), size)], axis=0)
     level = float(np.quantile(power[1:], QUIETEST)) / float(np.sum(taper**2))
     return max(float(np.sqrt(level)), quantization_step(values) / float(np.sqrt(12.0)))
-
-
-def _band(window: Window, slope: float) -> float:
-    size, taper = _segment(len(window.command), window.sample_time)
-    noise = measurement_noise(window.measurement, window.sample_time) ** 2 * float(np.sum(taper**2))
-    frequencies = np.fft.rfftfreq(size, window.sample_time)
-    share = np.linspace(1.0, 1.0 / len(frequencies), len(frequencies))
-    highest = 0.0
-    for begin in _begins(len(window.command), size):
-        moving = _power(window.command[begin : begin + size], taper)
-        beyond = np.cumsum(moving[::-1])[::-1] * 2.0 / size * slope**2
-        told = (beyond > ABOVE_NOISE**2 * noise * share) & (beyond > MIN_SHARE**2 * beyond[0])
-        if beyond[0] > 0.0 and np.any(told):
-            highest = max(highest, float(frequencies[np.flatnonzero(told)[-1]]))
-    return highest
 
 
 def _segment(rows: int, sample_time: float) -> tuple[int, Array]:

@@ -15,7 +15,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain import Parallel, Stage
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection
 from hyst_control.identify.assess.assembly import AxisFit
-from hyst_control.identify.data.fit import Number, ParameterRow
+from hyst_control.identify.data.fit import Number
 from hyst_control.identify.families.options import TRUTH, methods_option, option
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
 from hyst_control.identify.mhl.madelung import CurveOptions, range_notes, turned_by
@@ -114,8 +114,7 @@ class Found:
 
     def axis_fit(self, records: Sequence[Record], index: int) -> AxisFit:
         """The fit as every family hands it over."""
-        axis, name = self.axis, records[0].axes[index]
-        unit = records[0].unit
+        axis, unit = self.axis, records[0].unit
 
         def numbers(vector: Array) -> list[Number]:
             curves, _, dynamics = axis.split(vector)
@@ -133,23 +132,6 @@ class Found:
             self.held_out,
             tolerance=axis.curves.tolerance(axis.split(self.vector)[0], self.covariance),
             structure=axis.structure.describe(),
-            notes=lambda rows: range_notes(records, index, axis.ends) + _unresolved(name, rows, self._factors()),
+            notes=lambda _: range_notes(records, index, axis.ends),
             steps=self.steps,
         )
-
-    def _factors(self) -> list[tuple[str, float, float, str]]:
-        """The factors of G(s) with their standard errors."""
-        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return self.axis.structure.factors(*(self.axis.split(each)[2] for each in (self.vector, errors)))
-
-
-def _unresolved(axis: str, rows: Sequence[ParameterRow], factors: Sequence[tuple[str, float, float, str]]) -> list[str]:
-    """Parameters, and factors of G(s), that the data cannot tell, with their standard errors."""
-    found = [
-        (row["name"], row["value"], row["standard_error"] or 0.0, row["unit"]) for row in rows if row["name"] in ("k1", "k2", "tau")
-    ]
-    return [
-        f"axis {axis}: {name} is not identifiable: {value:.2g} ± {error:.2g} {unit}".rstrip()
-        for name, value, error, unit in [*found, *factors]
-        if error > 0.5 * abs(value)
-    ]

@@ -26,6 +26,7 @@ from hyst_control.identify.modal.thinned_rows import thinned, thinning
 from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Grams, Window
 from hyst_control.identify.solve.simulation_error import Parametrization, SimulationError, Solution, minimize_simulation_error
+from hyst_control.records.stream.row_store import blocks
 
 ORDERS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
 LEAST_ROWS = 8  # Rows for each state of a model
@@ -369,11 +370,23 @@ def _parts(windows: Sequence[Window]) -> list[Window]:
         n = len(window.command)
         count = SEARCH_PARTS if share < 1.0 else 1
         size = max(int(share * n / count), 64)
-        cuts = [slice(begin, begin + size) for begin in _begins(window, size, count)] if size * count < n else [slice(0, n)]
+        begins = {_to_motion(window.command, begin, size) for begin in _begins(window, size, count)} if size * count < n else {0}
+        cuts = [slice(begin, begin + size if size * count < n else n) for begin in sorted(begins)]
         parts = [replace(window, command=window.command[cut], measurement=window.measurement[cut]) for cut in cuts]
         moving = [part for part in parts if np.ptp(part.command) > 0]
         found += [replace(part, group=len(found) + number) for number, part in enumerate(moving)]
     return found
+
+
+def _to_motion(command: Array, begin: int, size: int) -> int:
+    """First row of a part, or where the command rests in it of one around its next change."""
+    if np.ptp(command[begin : begin + size]) > 0.0:
+        return begin
+    for rows in blocks(len(command) - begin):  # block by block: a long record stays on the disk
+        moved = np.flatnonzero(command[begin + rows.start : begin + rows.stop] != command[begin])
+        if len(moved):
+            return min(begin + rows.start + int(moved[0]) - size // 8, len(command) - size)
+    return begin
 
 
 def _begins(window: Window, size: int, count: int) -> list[int]:

@@ -38,7 +38,6 @@ from hyst_control.records.record import Record
 
 SENSOR_OFFSET = 0.01
 """Share of the range from which an offset is the sensor's; a smaller one is as well the session's remanence or an error of the model."""
-NORMAL_95 = 1.645  # 95 % quantile of the normal distribution: half a 90 % interval
 
 
 class _Operators(Estimator[O]):
@@ -147,14 +146,13 @@ def axis_fit(
     def numbers(at: Array, structure: Structure = structure) -> list[Number]:
         return _numbers(operators, structure, at, unit)
 
-    def notes(rows: Sequence[ParameterRow]) -> list[str]:
-        told = _unresolved_weights(name, rows)
-        if dynamics and not structure.modes and np.isfinite(structure.highest):
-            told.append(
-                f"axis {name}: no resonance is identifiable ({structure.describe()}): the command moves the stage up to "
-                f"{structure.highest / REACH:.3g} Hz"
-            )
-        return told + (_unresolved_rates(solution, operators, name, rows, span) if operators.dynamic else [])
+    def notes(_: Sequence[ParameterRow]) -> list[str]:
+        if not dynamics or structure.modes or not np.isfinite(structure.highest):
+            return []
+        return [
+            f"axis {name}: no resonance is identifiable ({structure.describe()}): the command moves the stage up to "
+            f"{structure.highest / REACH:.3g} Hz"
+        ]
 
     return AxisFit(
         lambda at: [_hysteresis(operators, at[:linear]), *structure.stages(at[linear:])],
@@ -219,31 +217,3 @@ def _structure_rows(
         }
         for structure, each in best.items()
     ]
-
-
-def _unresolved_weights(name: str, rows: Sequence[ParameterRow]) -> list[str]:
-    weights = [row for row in rows if row["name"].startswith("weights")]
-    whole = abs(sum(row["value"] for row in weights))
-    unsure = [row for row in weights if (row["standard_error"] or 0.0) > max(abs(row["value"]), 1e-3 * whole)]
-    if not unsure:
-        return []
-    listed = ", ".join(f"{row['name']} {row['value']:.2g} ± {row['standard_error']:.2g}" for row in unsure[:3])
-    more = f" and {len(unsure) - 3} more" if len(unsure) > 3 else ""
-    return [f"axis {name}: {len(unsure)} of {len(weights)} weights are not identifiable: {listed}{more} {weights[0]['unit']}"]
-
-
-def _unresolved_rates(solution: Solution, operators: Operators, name: str, rows: Sequence[ParameterRow], span: float) -> list[str]:
-    """Rate weights m1, m2 that the data cannot determine, with the effect that they can have; span: range of the measurement."""
-    notes = []
-    left = 100.0 * np.sqrt(solution.fitted) / span
-    moved = np.sqrt(np.diag(solution.grams.fitted + solution.grams.held_out) / max(sum(solution.grams.rows), 1)) / span
-    for index, key in enumerate(("m1", "m2"), len(operators.thresholds)):
-        row = next(row for row in rows if row["name"] == key)
-        error = row["standard_error"] or 0.0
-        if row["value"] == 0.0 or error > abs(row["value"]):
-            effect = 100.0 * float(moved[index]) * (abs(row["value"]) + NORMAL_95 * error)
-            notes.append(
-                f"axis {name}: {key} is not identifiable: {row['value']:.2g} ± {error:.2g} {row['unit']}: its 90 % interval allows an "
-                f"effect of up to {effect:.2g} % of the range, the residual is {left:.2g} %"
-            )
-    return notes

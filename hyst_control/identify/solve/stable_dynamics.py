@@ -179,22 +179,6 @@ class Structure:
         found += [Number(f"den[{i}]", value) for i, value in enumerate(den) if i]
         return found + ([Number("tau", self.tau(parameters), "s")] if self.delay else [])
 
-    def factors(self, parameters: Annotated[Array, "P"], errors: Annotated[Array, "P"]) -> list[tuple[str, float, float, str]]:
-        """Names, values, standard errors and units of the frequencies and dampings of the poles and of the fastest zero."""
-        parts, spread, found = self.split(parameters), self.split(errors), []
-        for mode, deviation in zip(np.exp(parts["modes"]), spread["modes"], strict=True):
-            frequency, where = mode[0] / (2 * np.pi), f"the pole pair at {mode[0] / (2 * np.pi):.4g} Hz"
-            found.append((f"the frequency of {where}", frequency, frequency * deviation[0], "Hz"))
-            found.append((f"the damping of {where}", mode[1], mode[1] * deviation[1], ""))
-        for rate, deviation in zip(np.exp(parts["lags"]), spread["lags"], strict=True):
-            found.append(("the frequency of the real pole", rate / (2 * np.pi), rate / (2 * np.pi) * deviation, "Hz"))
-        if self.zeros:
-            # The leading coefficient vanishes as the fastest zero goes to infinity.
-            fastest = np.abs(np.roots(self.numerator(parameters))).max(initial=0.0) / (2 * np.pi)
-            doubt = spread["zeros"][-1] / max(abs(parts["zeros"][-1]), 1e-300)
-            found.append(("the frequency of the fastest zero", fastest, fastest * doubt, "Hz"))
-        return [(name, float(value), float(error), unit) for name, value, error, unit in found]
-
     def stages(self, parameters: Annotated[Array, "P"]) -> list[Stage]:
         """Construct the stages of the dynamics: the delay, then the rational part."""
         stages: list[Stage] = []
