@@ -4,14 +4,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import rfft
 
-from hyst_control.base.arrays import Array
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
+from hyst_control.chain import Stage
 from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
 from hyst_control.control.tuning import Tuning, controller_response
 from hyst_control.model_file import Model
@@ -20,6 +22,8 @@ from hyst_control.reporting.tables import Table
 
 SEGMENTS, LONGEST = 4, 1 << 16
 """Stretches of the record that Hann windows are as long as, each half over the one before, and their longest, 3 s at 20 kHz."""
+COMMANDED = 0.1
+"""Share of the motion that a command at rest may make: the reading of a drive's voltage is noisy."""
 
 
 @dataclass(frozen=True)
@@ -81,20 +85,23 @@ def jitter(tuning: Tuning, model: Model, record: Record, loop_delay: int = 0) ->
     """
     unit, command = model.units["measurement"], record.signals.get("command")
     measurement = record.signal("measurement")
-    if command is not None and np.ptp(command.values, axis=0).any():
-        raise InputError(f"{record.source}: the command moves: record the jitter while it rests, without feedback")
     if (measurement.unit, len(measurement.axes)) != (unit, len(model.axes)):
         raise InputError(
             f"{record.source}: has {len(measurement.axes)} axes in {measurement.unit}, {model.name} {len(model.axes)} in {unit}"
         )
+    stages = linearized(model, hysteresis_slopes(model)[0])
+    if command is not None:
+        answer = np.abs(sampled_response(stages, len(model.axes), tuning.sample_time, np.array([np.exp(1e-6j)]))[0])
+        if np.any(answer @ np.std(command.values, axis=0) > COMMANDED * np.std(measurement.values, axis=0)):
+            raise InputError(f"{record.source}: the command moves: record the jitter while it rests, without feedback")
     (data,) = record.aligned(("measurement",))
     rows, step = data.measurement - data.measurement.mean(axis=0), data.sample_time
     length = min(len(rows) // SEGMENTS, LONGEST)
     if length < 16:
         raise InputError(f"{record.source}: {len(rows)} samples show no spectrum: record longer")
     window = np.hanning(length + 1)[:-1]
-    frequency = np.fft.rfftfreq(length, step)[1:]
-    left = _sensitivity(tuning, model, loop_delay, frequency)
+    frequency = np.asarray(np.fft.rfftfreq(length, step)[1:], dtype=np.float64)
+    left = _sensitivity(tuning, stages, len(model.axes), loop_delay, frequency)
     before, after = np.zeros((2, len(frequency), len(model.axes)))
     segments = sliding_window_view(rows, length, axis=0)[:: length - length // 2]
     for segment in segments:
@@ -106,7 +113,9 @@ def jitter(tuning: Tuning, model: Model, record: Record, loop_delay: int = 0) ->
     edges = np.unique([frequency[0], *decades, frequency[-1]])
     starts = np.searchsorted(frequency, edges[:-1])
     rms = [np.sqrt(scale * np.add.reduceat(power, starts, axis=0)) for power in (before, after)]
-    notes = ["Jitter: noise of the sensor counts as motion here. What the loop makes the stage follow of it is not in these figures."]
+    notes = [
+        "Jitter: noise of the sensor counts as motion here. What the loop makes the stage follow of it is not in these figures."
+    ]
     if frequency[-1] * tuning.sample_time > 0.5 * (1.0 + 1e-6):
         notes.append(
             f"Jitter: above {0.5 / tuning.sample_time:g} Hz, half the loop's rate, motion stays; its alias in the loop is left out."
@@ -114,10 +123,8 @@ def jitter(tuning: Tuning, model: Model, record: Record, loop_delay: int = 0) ->
     return Jitter(edges, rms[0], rms[1], model.axes, unit, tuple(notes))
 
 
-def _sensitivity(tuning: Tuning, model: Model, loop_delay: int, frequency: Array) -> Array:
+def _sensitivity(tuning: Tuning, stages: Sequence[Stage], axes: int, loop_delay: int, frequency: Array) -> Complex:
     """S (F, A, A) of the sampled loop; above half its rate, 1."""
-    axes = len(model.axes)
-    stages = linearized(model, hysteresis_slopes(model)[0])
     below = frequency * tuning.sample_time < 0.5 * (1.0 + 1e-6)
     z = np.exp(2j * np.pi * frequency[below] * tuning.sample_time)
     loop = (
