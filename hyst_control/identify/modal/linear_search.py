@@ -385,7 +385,7 @@ def _to_motion(command: Array, begin: int, size: int) -> int:
     for rows in blocks(len(command) - begin):  # block by block: a long record stays on the disk
         moved = np.flatnonzero(command[begin + rows.start : begin + rows.stop] != command[begin])
         if len(moved):
-            return min(begin + rows.start + int(moved[0]) - size // 8, len(command) - size)
+            return min(begin + int(rows.start + moved[0]) - size // 8, len(command) - size)
     return begin
 
 
