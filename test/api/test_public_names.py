@@ -122,17 +122,22 @@ def test_a_table_is_read_without_what_only_models_need():
 HYST = "import sys; sys.argv = ['hyst', '--help']\nfrom hyst_control.processes.executables import hyst\n"
 
 
+def processor_time(code: str) -> float:
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
 @pytest.mark.parametrize(
     ("code", "limit"),
-    [("import hyst_control as hc; hc.Record", 0.5), (f"{HYST}hyst()", 0.25)],
+    [("import hyst_control as hc; hc.Record", 2.5), (f"{HYST}hyst()", 1.2)],
     ids=["hc", "hyst --help"],
 )
 def test_the_door_opens_quickly(code, limit):
-    """Processor time, s, the least of several runs: others may use the machine meanwhile."""
-    spent = []
-    while len(spent) < 8 and min(spent, default=9.0) > limit:
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        spent.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    assert min(spent) <= limit
+    """Processor time in that of importing numpy, the least of several runs: a slow or busy machine is slow for both."""
+    spent, plain = [], []
+    while len(spent) < 8 and min(spent, default=np.inf) > limit * min(plain, default=0.0):
+        spent.append(processor_time(code))
+        plain.append(processor_time("import numpy"))
+    assert min(spent) <= limit * min(plain)
