@@ -55,7 +55,7 @@ class Tuning(tuning.Tuning, Shown):
         return table_frame(self.table(self.model))
 
     def jitter(self, record: records.Record) -> Jitter:
-        """Predict the motion that the feedback leaves of that in a record at rest, without feedback, by decades of frequency.
+        """Predict the motion at rest with this feedback, by decades of frequency, from a record without feedback.
 
         Parameters
         ----------

@@ -6,7 +6,7 @@ examples:
   hyst tune config/models/fsm_mhl.yaml --rate 5000
   hyst tune config/models/fsm_mhl.yaml --rate 5000 --roll-off --at 100
   hyst tune config/models/pea_hampi.yaml --structure damping --output gains.yaml
-  hyst tune config/models/fsm_mhl.yaml --rate 5000 --jitter quiet.csv     # what the loop leaves of a vibration
+  hyst tune config/models/fsm_mhl.yaml --rate 5000 --jitter quiet.csv     # how much of a vibration remains
   hyst tune hampi.yaml --gain-margin 8 --phase-margin 55 --loop-delay 1 --json tuning.json
 """
 
@@ -61,9 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "them (auto)",
     )
     add("--output", metavar="GAINS.yaml", help="parameter file of the node pi_feedback to write")
-    add(
-        "--jitter", metavar="RECORD", help="record at rest without feedback: predict the rms that the feedback leaves of its motion"
-    )
+    add("--jitter", metavar="RECORD", help="record at rest without feedback: predict the rms of that motion with feedback")
     add("--at", type=float, nargs="+", default=[], metavar="HZ", help="print the sensitivity |S| at these frequencies as well")
 
 

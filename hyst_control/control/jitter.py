@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Motion at rest that a feedback leaves, from a record of that motion without the feedback: S = 1 / (1 + L) by frequency."""
+"""Motion at rest with feedback, predicted from a record of it without feedback: S = 1 / (1 + L) by frequency."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from hyst_control.records.record import Record
 from hyst_control.reporting.tables import Table
 
 SEGMENTS, LONGEST = 4, 1 << 16
-"""Stretches of the record that Hann windows are as long as, each half over the one before, and their longest, 3 s at 20 kHz."""
+"""Windows that fit into the record one after the other, and their greatest length in samples; each overlaps the next by half."""
 COMMANDED = 0.1
-"""Share of the motion that a command at rest may make: the reading of a drive's voltage is noisy."""
+"""Share of the motion that the command may cause and still count as resting: a measured drive voltage is noisy."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Jitter:
     axes, unit
         Names of the axes, and that unit.
     notes
-        Sentences on what the figures leave out.
+        Sentences on what the figures do not include.
     """
 
     edges: Array
@@ -60,7 +60,7 @@ class Jitter:
 
 
 def jitter(tuning: Tuning, model: Model, record: Record, loop_delay: int = 0) -> Jitter:
-    """Predict what a feedback leaves of the motion in a record at rest: vibrations of the table, wander of a beam, noise of the drive.
+    """Predict the motion at rest with feedback from a record without: vibrations of the table, wander of a beam, noise of the drive.
 
     Parameters
     ----------
@@ -114,11 +114,11 @@ def jitter(tuning: Tuning, model: Model, record: Record, loop_delay: int = 0) ->
     starts = np.searchsorted(frequency, edges[:-1])
     rms = [np.sqrt(scale * np.add.reduceat(power, starts, axis=0)) for power in (before, after)]
     notes = [
-        "Jitter: noise of the sensor counts as motion here. What the loop makes the stage follow of it is not in these figures."
+        "Jitter: noise of the sensor counts as motion here. The loop also makes the stage follow that noise, which is not included."
     ]
     if frequency[-1] * tuning.sample_time > 0.5 * (1.0 + 1e-6):
         notes.append(
-            f"Jitter: above {0.5 / tuning.sample_time:g} Hz, half the loop's rate, motion stays; its alias in the loop is left out."
+            f"Jitter: above {0.5 / tuning.sample_time:g} Hz, half the loop's rate, motion is unchanged; its alias is not included."
         )
     return Jitter(edges, rms[0], rms[1], model.axes, unit, tuple(notes))
 

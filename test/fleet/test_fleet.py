@@ -167,7 +167,7 @@ def test_models_and_diagnoses(fleet, monkeypatch):
 
 
 def test_a_cluster_of_this_machine_computes_what_a_process_does(fleet):
-    pytest.importorskip("distributed")
+    pytest.importorskip("distributed", reason="Dask is an optional package")
     words = ["fleet", "validate", str(fleet / "bags" / "u2_0"), "--model", str(MODEL), "--workers", "1"]
     assert main([*words, "--cluster", "local", "--output", str(fleet / "cluster")]) == 0
     with one_process():

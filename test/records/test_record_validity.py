@@ -59,7 +59,7 @@ def driven(plant, spec, seed, name):
 
 @pytest.fixture(scope="module", autouse=True)
 def each_trial_once():
-    """What a trial shows by itself is looked for once: a sound one stands beside many spoilt ones."""
+    """Examine each trial once: a sound one is compared with many damaged ones."""
     of_trial, known = checks._of_trial, {}
 
     def remembered(trial):

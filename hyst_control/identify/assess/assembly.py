@@ -155,7 +155,7 @@ def _known_band(records: Sequence[Record], stages: Sequence[Stage]) -> float:
 
 
 def _motion_ends(records: Sequence[Record], residuals: Sequence[Array]) -> float:
-    """Frequency (Hz) up to which the model's output on every axis is well above what the model leaves."""
+    """Frequency (Hz) up to which the model's output on every axis is well above the residual."""
 
     def ends(axis: int) -> float:
         return max(
