@@ -4,6 +4,7 @@
 
 import json
 import tracemalloc
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.signal import chirp, cont2discrete, dlsim, dlti, lfilter
 from hyst_control.base.errors import InputError
 from hyst_control.identify import identify
 from hyst_control.identify.assess import fit_report
-from hyst_control.identify.modal import coupled_linear
+from hyst_control.identify.modal import coupled_linear, search_parts
 from hyst_control.model_file import simulate
 from hyst_control.records.record import Record, sampled_record
 from hyst_control.records.stream import row_store
@@ -250,21 +251,34 @@ def test_a_long_record_is_taken_in_parts(monkeypatch):
         assert abs(found[name]["value"] - true) < 5 * found[name]["standard_error"] + 1e-4 * true
 
 
-def test_modes_that_a_long_sweep_passes_in_a_few_rows_are_found():
-    """Parts that are spread evenly over the record hold neither of them."""
-    rate, rows = 20e3, 120_000
+def swept(modes: Sequence[tuple[float, float]], damping: float, rows: int) -> Record:
+    """A stage with modes of these frequencies (Hz) and gains under a slow sweep at 20 kHz."""
+    rate = 20e3
     time = np.arange(rows) / rate
     command = 50.0 + 5.0 * chirp(time, 1.0, time[-1], 1500.0, phi=-90)
     measurement = 0.05 * np.random.default_rng(0).normal(size=rows) + command[0]
-    for frequency, share in ((310.0, 0.8), (1230.0, 0.2)):
+    for frequency, share in modes:
         w = 2 * np.pi * frequency
-        num, den, _ = cont2discrete(([share * w**2], [1.0, 0.01 * w, w**2]), 1.0 / rate, "zoh")
+        num, den, _ = cont2discrete(([share * w**2], [1.0, 2.0 * damping * w, w**2]), 1.0 / rate, "zoh")
         measurement += lfilter(num[0], den, command - command[0])
-    record = sampled_record("sweep", command[:, None], measurement[:, None], 1.0 / rate, ("x",), "um", "zoh", start="settled")
-    found = identify([record], "linear")
+    return sampled_record("sweep", command[:, None], measurement[:, None], 1.0 / rate, ("x",), "um", "zoh", start="settled")
+
+
+def test_modes_that_a_long_sweep_passes_in_a_few_rows_are_found():
+    """Parts that are spread evenly over the record hold neither of them."""
+    found = identify([swept(((310.0, 0.8), (1230.0, 0.2)), 0.005, 120_000)], "linear")
     assert found.report["states"] == 4
     known = entries(found.report)
     assert [known[f"frequency[{i}]"]["value"] for i in range(2)] == pytest.approx([310.0, 1230.0], rel=1e-3)
+
+
+def test_more_narrow_modes_than_parts_are_searched_are_found(monkeypatch):
+    """The structure of the first parts has no third mode: a part where it leaves much is searched too."""
+    monkeypatch.setattr(search_parts, "SEARCH_ROWS", 8_000)
+    modes = ((310.0, 0.8), (820.0, 0.1), (1230.0, 0.8))
+    found = identify([swept(modes, 0.001, 120_000)], "linear")
+    known = entries(found.report)
+    assert [known[f"frequency[{i}]"]["value"] for i in range(3)] == pytest.approx([each for each, _ in modes], rel=1e-3)
 
 
 def test_the_mean_of_residuals_is_that_of_all_their_rows(monkeypatch):

@@ -7,6 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.fft import rfft
@@ -22,17 +23,15 @@ from hyst_control.identify.data.fit_windows import response_sign
 from hyst_control.identify.modal.linear_candidate import MIN_GAIN, VARIANTS, Candidate, Variant
 from hyst_control.identify.modal.linear_options import LinearOptions
 from hyst_control.identify.modal.partial_fractions import SLOWEST, Sections
+from hyst_control.identify.modal.search_parts import SEARCH_ROWS, Parts, first_parts
 from hyst_control.identify.modal.thinned_rows import thinned, thinning
 from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Grams, Window
 from hyst_control.identify.solve.simulation_error import Parametrization, SimulationError, Solution, minimize_simulation_error
-from hyst_control.records.stream.row_store import blocks
 
 ORDERS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
 LEAST_ROWS = 8  # Rows for each state of a model
-SEARCH_ROWS, SEARCH_PARTS, CANDIDATES = 40_000, 4, 100
-"""Rows on which structures are compared: of longer records as many parts, half of them evenly spread and the others where the measurement
-departs most from a gain, of so many: a sweep passes each mode in a few rows."""
+ROUNDS = 3  # Searches, each with parts of the records added that the last one's structure does not explain
 WHOLE_ROWS = 2**22  # Rows of a record to which the chosen structure is fitted, from the middle of a longer one
 STALE, FALLEN = 2, 2.25
 """Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
@@ -123,6 +122,20 @@ class Trials:
         found = self.fit(other.sections, nearest.sections.partial(known, self.sample_time), nearest.sections.tau(known))
         return min(other, replace(other, solution=found), key=lambda each: each.solution.fitted)
 
+    def left(self, candidate: Candidate, part: Window) -> float:
+        """Mean square error of a structure on another part, which may begin amid a motion."""
+        alone = replace(part, group=0, skip=max(part.skip, self.windows[0].skip))
+        error = SimulationError([alone], Parametrization(candidate.sections.running), self.nuisance, unknown_state=True)
+        return error.visit(candidate.solution.parameters).fitted
+
+    def explains(self, candidate: Candidate, parts: Sequence[Window], most: float) -> bool:
+        """Check that a structure, fitted anew to more parts, leaves no more than so much of any."""
+        if len(parts) == len(self.windows):
+            return True
+        start = candidate.solution.parameters
+        found = replace(candidate, solution=_fit(parts, candidate.sections, start, self.nuisance, PASSES))
+        return max(self.left(found, part) for part in parts) <= most
+
     def counts(self, candidate: Candidate, smaller: Sequence[Candidate]) -> bool:
         """True where the data tell a structure's poles, and it owes its gain to what the command drives."""
         return not (_beyond_reach(candidate) or (not self.still and self.rings_by_itself(candidate, smaller)))
@@ -158,7 +171,32 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     error far more: otherwise they cancel the motion of a slow pole.
     """
     count = thinning(windows, SEARCH_ROWS)
-    few = _parts([thinned(window, count) for window in windows])
+    slower = [thinned(window, count) for window in windows]
+    parts = first_parts(slower)
+    for _ in range(ROUNDS):
+        trials, chosen, table = _searched(windows, parts, options, still)
+        most = FALLEN * max(trials.exact, *(trials.left(chosen, part) for part in trials.windows))
+        parts = parts.with_worst(partial(trials.left, chosen), most)
+        if trials.explains(chosen, parts.windows(), most):
+            break
+    table = [{**row, "delay_samples": [late * count for late in row["delay_samples"]]} for row in table]
+    early = trials.windows[0].skip
+    whole = [_middle(replace(window, skip=max(window.skip, early * count))) for window in windows]
+    final = _final(whole, chosen, options, still)
+    if final is None:
+        return search(windows, options)
+    missed = chosen.held_out
+    if count > 1:  # of all rows, whose noise is larger than that of their means
+        start = chosen.solution.parameters
+        missed = _fit(whole, chosen.sections, start, options.nuisance, PASSES, unknown_state=not trials.still).held_out
+    return replace(chosen, solution=final, search_error=missed), table
+
+
+def _searched(
+    windows: Sequence[Window], parts: Parts, options: LinearOptions, still: bool
+) -> tuple[Trials, Candidate, list[OrderRow]]:
+    """The smallest good structure on parts of the records, and what was tried."""
+    few = parts.windows()
     still = still and len(few) == len(windows)
     guess = options.delay == "estimate"
     with forked([few, *few]):
@@ -178,17 +216,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
     with forked([trials, few, *few]):
         tried, table = _grow(trials, orders, variants)
-    table = [{**row, "delay_samples": [late * count for late in row["delay_samples"]]} for row in table]
-    chosen = _best_of(tried)
-    whole = [_middle(replace(window, skip=max(window.skip, early * count))) for window in windows]
-    final = _final(whole, chosen, options, still)
-    if final is None:
-        return search(windows, options)
-    missed = chosen.held_out
-    if count > 1:  # of all rows, whose noise is larger than that of their means
-        start = chosen.solution.parameters
-        missed = _fit(whole, chosen.sections, start, options.nuisance, PASSES, unknown_state=not trials.still).held_out
-    return replace(chosen, solution=final, search_error=missed), table
+    return trials, _best_of(tried), table
 
 
 def _trials(windows: Sequence[Window], few: Sequence[Window], options: LinearOptions, still: bool, late: float) -> Trials:
@@ -360,55 +388,6 @@ def _row(candidate: Candidate, sample_time: float, windows: Sequence[Window]) ->
         "seconds": candidate.seconds,
         "delay_samples": [sections.tau(solution.parameters) / sample_time],
     }
-
-
-def _parts(windows: Sequence[Window]) -> list[Window]:
-    """The records, or parts of long ones, each with session effects of its own."""
-    share = SEARCH_ROWS / max(sum(len(window.command) for window in windows), SEARCH_ROWS)
-    found: list[Window] = []
-    for window in windows:
-        n = len(window.command)
-        count = SEARCH_PARTS if share < 1.0 else 1
-        size = max(int(share * n / count), 64)
-        begins = {_to_motion(window.command, begin, size) for begin in _begins(window, size, count)} if size * count < n else {0}
-        cuts = [slice(begin, begin + size if size * count < n else n) for begin in sorted(begins)]
-        parts = [replace(window, command=window.command[cut], measurement=window.measurement[cut]) for cut in cuts]
-        moving = [part for part in parts if np.ptp(part.command) > 0]
-        found += [replace(part, group=len(found) + number) for number, part in enumerate(moving)]
-    return found
-
-
-def _to_motion(command: Array, begin: int, size: int) -> int:
-    """First row of a part, or where the command rests in it of one around its next change."""
-    if np.ptp(command[begin : begin + size]) > 0.0:
-        return begin
-    for rows in blocks(len(command) - begin):  # block by block: a long record stays on the disk
-        moved = np.flatnonzero(command[begin + rows.start : begin + rows.stop] != command[begin])
-        if len(moved):
-            return min(begin + int(rows.start + moved[0]) - size // 8, len(command) - size)
-    return begin
-
-
-def _begins(window: Window, size: int, count: int) -> list[int]:
-    """First rows of parts of a long record, in order."""
-    last = len(window.command) - size
-    found = [int(begin) for begin in np.linspace(0, last, count // 2)]
-    begins = np.linspace(0, last, CANDIDATES).astype(int)
-
-    def motions(begin: int) -> tuple[Array, Array]:
-        rows = slice(begin, begin + size)
-        return window.command[rows] - window.command[0], window.measurement[rows] - window.measurement[0]
-
-    # Part by part: a long record stays on the disk.
-    sums = sum(np.array([len(u), u.sum(), y.sum(), u @ u, u @ y]) for u, y in map(motions, begins))
-    rows, first, second, square, product = np.asarray(sums, dtype=float)
-    slope = (product - first * second / rows) / max(square - first**2 / rows, 1e-300)
-    zero = (second - slope * first) / rows
-    left = [float(np.sum((y - slope * u - zero) ** 2)) for u, y in map(motions, begins)]
-    for begin in begins[np.argsort(left)[::-1]].tolist():
-        if len(found) < count and min(abs(begin - other) for other in found) >= size:
-            found.append(begin)
-    return sorted(found)
 
 
 def _middle(window: Window) -> Window:

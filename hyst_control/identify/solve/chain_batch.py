@@ -15,7 +15,6 @@ from itertools import groupby
 from typing import Annotated, TypeGuard
 
 import numpy as np
-from numba import njit
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain import Filter, Parallel, Sampling, Stage
@@ -26,6 +25,7 @@ from hyst_control.chain.linear.linear_stages import Delay, Discretised
 
 SOURCE = -1  # Number of the signal that enters all chains, which stands behind those of all nodes
 NEGLIGIBLE = 1e-9  # Share of its largest value below which a free motion has died away
+TOGETHER = 512  # Rows of a free motion that are computed from others at once
 
 
 @dataclass(frozen=True)
@@ -150,30 +150,21 @@ class Decay:
         return not np.any(self._row)
 
     def rows(self, count: int) -> Array:
-        """The next `count` rows (count, n)."""
+        """The next `count` rows (count, n): the rows known so far times a power of the transition are as many again."""
         found = np.zeros((count, self.states))
-        if self.states:
-            decayed(self._transition, self._row, self._largest, found)
+        if self.is_over or not count:
+            return found
+        found[0], power, known = self._row @ self._transition, self._transition, 1
+        while known < count:
+            step = min(known, TOGETHER)
+            more = min(step, count - known)
+            np.matmul(found[known - step : known - step + more], power, out=found[known : known + more])
+            known += more
+            power = power @ power if step < TOGETHER else power
+        late = np.abs(found[-TOGETHER:]).max(axis=0)
+        self._largest = np.maximum(self._largest, np.abs(found).max(axis=0))
+        self._row = found[-1] if np.any(late > NEGLIGIBLE * self._largest) else np.zeros(self.states)
         return found
-
-
-@njit(cache=True, error_model="numpy")
-def decayed(transition: Array, row: Array, largest: Array, found: Array) -> None:
-    """Write rows (N, n): `row` (n,), which is updated, times each power of `transition` (n, n); none once all of it has died away."""
-    n = len(row)
-    for line in found:
-        alive = False
-        for j in range(n):
-            value = 0.0
-            for i in range(n):
-                value += row[i] * transition[i, j]
-            line[j] = value
-            largest[j] = max(largest[j], abs(value))
-            alive = alive or abs(value) > NEGLIGIBLE * largest[j]
-        row[:] = line
-        if not alive:
-            row[:] = 0.0
-            return
 
 
 def alike(nodes: Sequence[Node]) -> list[list[int]]:
