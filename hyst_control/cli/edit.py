@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hyst_control.reporting.artifacts import Artifacts
 
 NAME = "edit"
-HELP = "cut, resample, filter, detrend or merge bags, or remove outliers"
+HELP = "cut, resample, filter, detrend or merge bags, remove outliers, or bring two clocks together"
 JSON = "list of written files"
 READS = ("bags",)
 WRITES = ("output",)
@@ -41,6 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--detrend", choices=("linear", "constant"), help="remove the measurement's line of best fit, or its mean")
     add("--low-pass", type=float, metavar="HZ", help="corner of a low-pass without phase, of all signals")
     add("--high-pass", type=float, metavar="HZ", help="corner of a high-pass without phase, of all signals")
+    add(
+        "--clock", type=float, metavar="PPM", help="bring a measurement whose clock is slower by so many ppm to the command's clock"
+    )
     add("--resample", type=float, metavar="HZ", help="new sample rate")
     add("--output", metavar="BAG", help="bag to write, which must not exist (default: the first bag's name and _edited)")
     add("--namespace", help="namespace of the topics, where a bag holds several plants")
@@ -59,6 +62,8 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     records = [read_bag(path, namespace=given.namespace) for path in given.bags]
     record = records[0].merge(*records[1:]) if len(records) > 1 else records[0]
     record = record.cut(given.begin, given.end)
+    if given.clock:
+        record = record.reclock(given.clock)
     if given.outliers is not None:
         record = record.remove_outliers(given.outliers)
     if given.detrend:
@@ -69,7 +74,7 @@ def run(arguments: argparse.Namespace) -> Artifacts:
         record = record.resample(given.resample)
     if record.history == records[0].history:
         raise InputError(
-            "nothing to do: give --from, --to, --outliers, --detrend, --low-pass, --high-pass, --resample or several bags"
+            "nothing to do: give --from, --to, --clock, --outliers, --detrend, --low-pass, --high-pass, --resample or several bags"
         )
     output = given.output or f"{Path(os.path.realpath(given.bags[0])).stem}_edited"
     record.save(output)

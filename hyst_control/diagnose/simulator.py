@@ -20,11 +20,14 @@ from hyst_control.base.yaml_files import read_yaml
 from hyst_control.chain import Chain
 from hyst_control.chain.external_simulator import ALIKE, ExternalSimulator, Simulate, external_simulator, title_of, together
 from hyst_control.diagnose.noise.white import noise_of
+from hyst_control.diagnose.record_checks.summary import lattice_of
 from hyst_control.model_file import Model
 from hyst_control.model_file import simulate as simulated
 from hyst_control.records.record import Record
 
 MOVING = 0.5  # Share of the ticks at which a command moves that may be smooth between them
+RESCALED = 0.9731  # Command for which a function's own value grid is the same, and one from its command's levels is not
+SAME_GRID = 0.001  # Share by which two steps of one grid may differ
 MIN_ROWS = 64  # Rows from which the noise of a residual can be estimated
 NOISE_ALONE = 1.1  # Rms of what a model leaves, as a multiple of its noise, up to which that is noise alone
 MARGIN = 10.0  # Nats by which another one has to leave more
@@ -47,6 +50,7 @@ def simulator_model(simulate: Simulate, parameters: Mapping[str, Sequence[Any]],
     stage, deviations = external_simulator(simulate, parameters)
     _check_repeatable(stage, command, sample_time)
     _check_sets(stage, deviations, command, sample_time)
+    _check_rounding(stage, part)
     stage = stage.stepped(command, sample_time).begun(command, sample_time)
     known = {"parameters": [f"{stage.name}.{name}" for name in stage.names], "factor": np.diag(deviations).tolist()}
     model = Model(
@@ -123,11 +127,13 @@ def of_function(model: Model | None, record: Record) -> Record:
 
 
 def simulator_notes(model: Model | None, records: Sequence[Record]) -> list[str]:
-    """List notes on a function: finer steps that it refuses, units that differ, and a hold that was found."""
+    """List notes on a function: finer steps that it refuses, and a hold that was found; refuse one of another unit."""
     stage = function_of(model)
     if model is None or stage is None:
         return []
-    found = [finer_note(stage.differs), unit_note(model, records[0])]
+    if said := other_unit(model, records[0]):
+        raise InputError(f"simulator {title_of(stage.simulate)}: {said}: return the unit of the record")
+    found = [finer_note(stage.differs)]
     if model.hold == "foh" and not records[0].states_hold:
         found.append("a command that is smooth between samples leaves noise alone, a held one more: taken as smooth (hold foh)")
     return [f"simulator {title_of(stage.simulate)}: {each}" for each in found if each]
@@ -144,8 +150,8 @@ def finer_note(differs: float) -> str:
     )
 
 
-def unit_note(model: Model, record: Record) -> str:
-    """Note on a measurement that is the simulation times a factor between units; "" where there is none."""
+def other_unit(model: Model, record: Record) -> str:
+    """Phrase on a measurement that is the simulation times a factor between units; "" where there is none."""
     parts = record.aligned(allow_gaps=True)
     try:
         pairs = [(simulated(model, part.command), part.measurement) for part in parts]
@@ -160,7 +166,7 @@ def unit_note(model: Model, record: Record) -> str:
     for factor, (one, other) in UNIT_FACTORS.items():
         for ratio, text in ((factor, f"{one} beside {other}"), (1.0 / factor, f"{other} beside {one}")):
             if abs(gain / ratio - 1.0) < NEARLY:
-                return f"the measurement is {gain:.4g} times the simulation: {text}? Return the unit of the record"
+                return f"the measurement is {gain:.4g} times the simulation, as {text} would be"
     return ""
 
 
@@ -191,6 +197,19 @@ def _check_sets(stage: ExternalSimulator, deviations: Sequence[float], command: 
             f"simulator {title_of(stage.simulate)}: vectorized: two sets of parameters in one call give other values than one by one: "
             "return the sets in their order, or leave out the attribute vectorized"
         )
+
+
+def _check_rounding(stage: ExternalSimulator, part: Record) -> None:
+    """Refuse a function that rounds where the machine does not: it does not follow small changes of a parameter."""
+    rows, scaled = (stage.run(factor * part.command, part.sample_time) for factor in (1.0, RESCALED))
+    for axis in range(rows.shape[1]):
+        grids = [lattice_of(values[:, axis]) for values in (rows, scaled, part.measurement)]
+        # A gain on a coarse command has a grid as well, but one of the command's size.
+        if grids[0] > 0.0 and abs(grids[1] / grids[0] - 1.0) < SAME_GRID and grids[2] < (1.0 - SAME_GRID) * grids[0]:
+            raise InputError(
+                f"simulator {title_of(stage.simulate)}: returns multiples of {grids[0]:.4g} {part.unit}, between which the record has "
+                "values: return it before it is rounded"
+            )
 
 
 def named_simulator(name: str) -> Simulate:

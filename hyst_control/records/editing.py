@@ -20,6 +20,7 @@ from hyst_control.records.record import Record, Signal
 MEASUREMENT = ("measurement",)
 ORDER = Quantity("order", 4, "", "order of the filter", lower=1)
 BEYOND = 0.01  # Of its range, by which a filter may take the command out of it without a note
+MAX_PPM = 1e5  # Largest difference of two clocks
 MAX_FACTOR = 1000  # Largest numerator and denominator of the ratio of two rates
 
 Edited = TypeVar("Edited", bound="EditableRecord")
@@ -78,6 +79,33 @@ class EditableRecord(Record):
         done = self._changed(self.signals, resampled, 1.0 / rate)
         done = replace(done, hold="zoh" if held else "foh", states_hold=True, notes=(*done.notes, *self._ringing(done)))
         return done._noted(f"resampled from {1 / step:g} to {rate:g} Hz")
+
+    def reclock(self: Edited, ppm: float) -> Edited:
+        """The record with its measurement brought to the command's clock, by cubic interpolation from the common first sample on.
+
+        Parameters
+        ----------
+        ppm
+            How much slower the measurement's clock is, parts per million, within ±100,000; below 0: faster. Record checks find it.
+
+        Returns
+        -------
+        Record
+            The record by one clock; of a measurement that ends early, without the last commands.
+        """
+        from hyst_control.records.validity.time_shift import at_rate
+
+        if not abs(ppm) <= MAX_PPM:
+            raise InputError(f"ppm (--clock): must be from {-MAX_PPM:g} to {MAX_PPM:g} parts per million, got {ppm!r}")
+        kept = max(len(self.signal(topic).values) for topic in self.signals)
+        kept = min(kept, int((kept - 1) * (1.0 + 1e-6 * ppm)) + 1)
+
+        def changed(topic: str, values: Array) -> Array:
+            answers = topic in MEASUREMENT
+            found = np.column_stack([at_rate(column, 1e-6 * ppm) for column in values.T]) if answers else values
+            return np.asarray(found[:kept])
+
+        return self._changed(self.signals, changed)._noted(f"measurement brought to the command's clock ({ppm:g} ppm)")
 
     def filter(self: Edited, low_pass: float | None = None, high_pass: float | None = None, *, order: int = 4) -> Edited:
         """Filter every signal by a Butterworth filter forward and backward, without phase.

@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import hyst_control as hc
+from hyst_control.base.errors import InputError
 from hyst_control.diagnose.simulator import simulator_model, simulator_notes
 
 RATE, FINE = 500.0, 20
@@ -102,18 +103,36 @@ def test_a_coarse_grid_is_named_unless_the_simulator_has_it(simulate, names):
     assert [effect["name"] for effect in gap.document["effects"]] == names
 
 
+def test_a_function_that_rounds_beside_a_machine_that_does_not_is_refused():
+    command = staircase(2)
+    with pytest.raises(InputError, match="rounded: returns multiples of 0.5 um, between which the record has values"):
+        notes_of(rounded, command, spring(command, 1 / RATE, **TRUTH) + noise(len(command)))
+
+
+def test_a_gain_on_a_coarse_command_does_not_round():
+    def gain(command, sample_time, frequency, limit):
+        return 0.1 * np.append(command[0], command[:-1])
+
+    command = np.round(staircase(2))
+    assert notes_of(gain, command, gain(command, 1 / RATE, **TRUTH) + noise(len(command))) == []
+
+
 def notes_of(simulate, command, measurement):
     record = hc.from_arrays(command, measurement, RATE)
     return simulator_notes(simulator_model(simulate, PARAMETERS, [record]), [record])
 
 
-@pytest.mark.parametrize(
-    ("factor", "note"), [(np.pi / 180 * 1e3, "mrad beside deg"), (1e-3, "mm or rad beside um or mrad"), (1.2, "")]
-)
-def test_a_factor_between_units_is_said(factor, note):
+@pytest.mark.parametrize(("factor", "units"), [(np.pi / 180 * 1e3, "mrad beside deg"), (1e-3, "mm or rad beside um or mrad")])
+def test_a_function_of_another_unit_is_refused(factor, units):
     command = staircase(3)
-    found = notes_of(spring, command, factor * (spring(command, 1 / RATE, **TRUTH) + noise(len(command))))
-    assert len(found) == bool(note) and all("times the simulation" in text and note in text for text in found)
+    measurement = factor * (spring(command, 1 / RATE, **TRUTH) + noise(len(command)))
+    with pytest.raises(InputError, match=f"times the simulation, as {units} would be: return the unit of the record"):
+        notes_of(spring, command, measurement)
+
+
+def test_a_gain_that_is_no_factor_between_units_is_none():
+    command = staircase(3)
+    assert not notes_of(spring, command, 1.2 * (spring(command, 1 / RATE, **TRUTH) + noise(len(command))))
 
 
 def test_a_function_that_counts_calls_is_told_to_have_a_step_of_its_own():

@@ -6,7 +6,9 @@ import json
 
 import numpy as np
 import pytest
+from scipy.interpolate import make_interp_spline
 
+import hyst_control as hc
 from hyst_control.base.config_files import config_path
 from hyst_control.cli import main
 from hyst_control.diagnose import workflow
@@ -64,6 +66,40 @@ def test_the_report_has_the_gap_of_the_record(sound):
     (document, _), _ = invalid_report([record(model, command, -measurement)], model)
     assert document["gap"]["rms"] == pytest.approx(np.sqrt(np.mean((-measurement - simulate(model, command)) ** 2)), rel=1e-9)
     assert document["gap"]["nrmse"] == pytest.approx(100.0 * document["gap"]["rms"] / np.ptp(measurement), rel=1e-9)
+
+
+@pytest.mark.parametrize("ppm", [300.0, -2000.0])
+def test_two_clocks_are_the_reason_and_not_an_effect(sound, ppm):
+    """The remedy that is told has the difference: with it the record is sound."""
+    model, command, _ = sound
+    exact = simulate(model, command)[:, 0]  # so smooth between its ticks that any interpolation is the machine's motion
+    ticks = np.arange(len(command)) * (1.0 + 1e-6 * ppm)
+    ticks = ticks[ticks < len(command) - 1]
+    measured = make_interp_spline(np.arange(len(exact)), exact, 5)(ticks) + 1e-3 * np.random.default_rng(3).normal(size=len(ticks))
+    given = record(model, command[: len(ticks)], measured[:, None])
+    (document, words), _ = invalid_report([given], model)
+    assert document["reasons"] == ["invalid_record", "clock_difference"]
+    told = float(words.split("hyst edit --clock ")[1].rstrip(")"))
+    assert told == pytest.approx(ppm, abs=15.0)
+    one = hc.from_arrays(given.command, given.measurement, 1.0 / model.sample_time, axes=model.axes, hold="zoh").reclock(told)
+    assert invalid_report([one], model)[0] is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda u, y: 1.05 * y,
+        lambda u, y: np.vstack([y[:1], y[:-1]]),
+        lambda u, y: y * np.linspace(1.0, 1.1, len(y))[:, None],
+        lambda u, y: y + np.linspace(0.0, 0.1, len(y))[:, None] * np.ptp(y),
+        lambda u, y: y + 0.03 * np.ptp(y) * np.random.default_rng(5).normal(size=y.shape),
+    ],
+    ids=["gain", "delay", "gain that drifts", "zero that drifts", "noise"],
+)
+def test_no_other_change_is_a_difference_of_clocks(sound, change):
+    model, command, measurement = sound
+    found, notes = invalid_report([record(model, command, change(command, measurement))], model)
+    assert found is None and not any("clocks" in note for note in notes)
 
 
 def test_a_sound_record_is_diagnosed(sound):

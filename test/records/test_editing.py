@@ -109,6 +109,23 @@ def test_the_response_to_a_jump_of_the_command_is_no_outlier():
     np.testing.assert_array_equal(bare.signal("command").values[:, 0], command)
 
 
+@pytest.mark.parametrize("ppm", [4000.0, -500.0])
+def test_a_measurement_is_brought_to_the_clock_of_the_command(ppm):
+    """A clock slower by so many ppm takes its n-th sample at n (1 + ppm)."""
+    record = made(wave(20), wave(20, TIME * (1.0 + 1e-6 * ppm))).reclock(ppm)
+    command, measurement = (record.signal(topic).values[:, 0] for topic in ("command", "measurement"))
+    assert len(command) == len(measurement) == min(len(TIME), int((len(TIME) - 1) * (1.0 + 1e-6 * ppm)) + 1)
+    np.testing.assert_array_equal(command, wave(20)[: len(command)])
+    np.testing.assert_allclose(measurement[:-2], command[:-2], atol=1e-5)
+    assert f"({ppm:g} ppm)" in record.history[0]
+
+
+@pytest.mark.parametrize("ppm", [np.nan, 2e5])
+def test_clocks_that_differ_by_a_tenth_are_none(ppm):
+    with pytest.raises(hc.InputError, match="--clock"):
+        made(wave(20), wave(20)).reclock(ppm)
+
+
 def test_merged_records_are_two_stretches_on_one_clock():
     first, second = made(wave(5), wave(5)), made(wave(7), wave(7)).cut(0.5)
     parts = first.merge(second).aligned(allow_gaps=True)

@@ -16,6 +16,7 @@ from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 from hyst_control.records.validity.checks import examined
 from hyst_control.records.validity.findings import Finding, Trial
+from hyst_control.records.validity.time_shift import clock_beside_model
 from hyst_control.reporting.provenance import Origin
 
 INVALID_RECORD = "invalid_record"  # First of the report's reasons; the findings' names follow it
@@ -25,7 +26,9 @@ def invalid_report(records: Sequence[Record], model: Model) -> tuple[tuple[dict[
     """Report on records that show something else than the plant's answer to the command, None where they do not, and further notes."""
     trials = trials_of(records, model)
     found, remarks = examined(trials)
-    notes = [each.text() for each in remarks]
+    if not found:
+        found = [each for trial in trials for index in range(len(trial.axes)) for each in clock_beside_model(trial, index)]
+    notes = [each.text() for each in remarks if not any(each.name == other.name for other in found)]
     if not found:
         return None, notes
     words = ["The record is no measurement of its command, and is not diagnosed:", *(f"  {each.text()}" for each in found)]

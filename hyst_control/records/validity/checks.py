@@ -65,7 +65,11 @@ def _of_trial(trial: Trial) -> list[Finding]:
     if not dead and (found := _pairing(trial, left, moving)):
         return found
     found = [finding for index in moving for finding in _of_axis(trial, left, index, dead.get(index))]
-    return found if any(finding.name not in NOTES for finding in found) else [*found, *model_findings(trial, moving)]
+    if any(finding.name not in NOTES for finding in found):
+        return found
+    # A lead that grows evenly is that of the clock: no rows are lost.
+    clock = any(finding.name == "clock_difference" for finding in found)
+    return [*found, *(each for each in model_findings(trial, moving) if not (clock and each.name == "lost_rows"))]
 
 
 def _of_axis(trial: Trial, left: CondensedRows, index: int, dead: Finding | None) -> list[Finding]:

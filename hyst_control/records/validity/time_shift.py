@@ -28,6 +28,9 @@ SECTIONS, MAX_SECTION, MIN_SECTIONS, MIN_SECTION_SINES = 8, 8192, 3, 3.0
 """Sections of a record in which a lead is sought that grows, the rows of one, how many must show it, and by how many sines each."""
 
 MAX_RATE = 5e-3  # Difference of two clocks at most: oscillators are off by a ten-thousandth, timers in software by a thousandth
+MIN_ROWS, FINEST_ROWS, MOST = 256, 2**18, 0.5
+"""Rows that are compared with a simulation at least and at most, and share of the rms beside one clock that a difference of two leaves."""
+TOGETHER = (1024, 256, 64, 16, 4, 1)  # Rows whose means are compared with those of a simulation, in turn
 CLOCK_STEPS = 4  # Fits, each with the times corrected by what the one before found
 EVEN = 0.25  # Variance about a straight line, in that of rows lost at random times, up to which a shift grows as between two clocks
 
@@ -120,7 +123,7 @@ def clock_difference(trial: Trial, index: int) -> list[Finding]:
         if not sure:
             break
         rate += step
-        corrected = _at_rate(measured, rate)
+        corrected = at_rate(measured, rate)
         fit = continued(rows, corrected, fit)
     grown = abs(rate) * count
     departures = together * _section_shifts(fit.predicted, corrected)
@@ -130,10 +133,40 @@ def clock_difference(trial: Trial, index: int) -> list[Finding]:
     even = abs(rate) < MAX_RATE and np.var(departures) < EVEN * grown / 6.0
     if not even or fit.unexplained > HALF or not surely_better(fit, own, CLEAR):
         return []
-    seconds = grown * trial.sample_time
+    return [_clock_finding(trial, index, rate)]
+
+
+def clock_beside_model(trial: Trial, index: int) -> list[Finding]:
+    """A difference of clocks that is most of what a measurement and its simulation differ by, beside a shift and a gain."""
+    if trial.simulated is None or len(trial.command) < MIN_ROWS or not np.ptp(trial.simulated[:, index]):
+        return []
+    rate, rows = 0.0, len(trial.command)
+    for together in (each for each in TOGETHER if MIN_ROWS * each <= rows <= FINEST_ROWS * each):
+        # Means of many rows first: the shift at the end may be several periods of a mode.
+        expected, measured = (averaged(of[:, [index]], together)[:, 0] for of in (trial.simulated, trial.measurement))
+        for _ in range(CLOCK_STEPS):
+            step, sure = _rate(expected, at_rate(measured, rate))
+            if not sure or abs(rate + step) > MAX_RATE:
+                break
+            rate += step
+    kept = slice(int(len(measured) * (1.0 - abs(rate))))  # behind it a slow clock has no measurements
+    before, after = (_beside_gain_and_shift(expected[kept], values[kept]) for values in (measured, at_rate(measured, rate)))
+    return [_clock_finding(trial, index, rate)] if after < MOST * before else []
+
+
+def _clock_finding(trial: Trial, index: int, rate: float) -> Finding:
+    seconds = abs(rate) * len(trial.command) * trial.sample_time
     detail = f"by {1e6 * abs(rate):.3g} ppm (the measurement's clock is the {'slower' if rate > 0 else 'faster'} one)"
     detail += f", {in_words(seconds)} over the record"
-    return [Finding("clock_difference", trial.name, trial.axes[index], 1e6 * rate, 0.0, detail)]
+    remedy = f"record both by one clock, or bring the measurement to the command's (hyst edit --clock {1e6 * rate:.4g})"
+    return Finding("clock_difference", trial.name, trial.axes[index], 1e6 * rate, 0.0, detail, remedy)
+
+
+def _beside_gain_and_shift(simulated: Array, measured: Array) -> float:
+    """Rms of what a gain, a zero and a small shift of a simulation (N,) leave of a measurement."""
+    columns = np.column_stack([simulated, np.gradient(simulated), np.ones(len(simulated))])
+    left = measured - columns @ np.linalg.lstsq(columns, measured, rcond=None)[0]
+    return float(np.sqrt(np.mean(left**2)))
 
 
 def _rate(expected: Array, measured: Array) -> tuple[float, bool]:
@@ -145,8 +178,10 @@ def _rate(expected: Array, measured: Array) -> tuple[float, bool]:
     return float(found[0]) / len(slope), bool(abs(found[0]) > 3.0 * deviation)
 
 
-def _at_rate(measured: Array, rate: float) -> Array:
+def at_rate(measured: Array, rate: float) -> Array:
     """A measurement (N,) as if its clock had not been slower by a rate, from a common beginning on."""
+    if rate == 0.0:
+        return measured
     from scipy.interpolate import CubicSpline  # takes long to import
 
     place = np.arange(len(measured))
