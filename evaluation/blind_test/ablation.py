@@ -30,7 +30,6 @@ from hyst_control.diagnose.configuration import CONFIGURATION, Thresholds
 from hyst_control.diagnose.decide import novelty, policy, record_findings
 from hyst_control.diagnose.evidence import Evidence
 from hyst_control.diagnose.record_checks.summary import effect_found_by
-from hyst_control.diagnose.run import settle
 from hyst_control.diagnose.run.diagnosis import diagnose
 from hyst_control.diagnose.run.settle import Tests, settled
 from hyst_control.diagnose.verdict import Decision
@@ -51,7 +50,6 @@ Rule = tuple[object, str, Callable[..., Any]]
 """Module, name of a function, and what it does where the rule is off."""
 
 RULES: dict[str, Rule] = {
-    "vetoes": (settle, "VETOES", 0),  # type: ignore[dict-item]
     "_adds_too_little": (policy, "_adds_too_little", lambda *_: False),
     "_is_known_effect": (policy, "_is_known_effect", lambda *_: False),
     "_has_plainer_one": (policy, "_has_plainer_one", lambda *_: False),
@@ -62,7 +60,6 @@ RULES: dict[str, Rule] = {
     "vibration_found": (policy, "vibration_found", lambda *_: None),
     "flicker_found": (policy, "flicker_found", lambda *_: None),
     "too_many": (novelty, "_too_many", lambda *_: False),
-    "_constancy": (novelty, "_constancy", lambda *_: []),
     "_is_own_error": (record_findings, "_is_own_error", lambda *_: False),
 }
 """Rules of the policy that are more than a threshold."""
@@ -111,7 +108,7 @@ def without(rule: Rule | None) -> Iterator[None]:
         return
     module, name, off = rule
     usual = getattr(module, name)
-    users = [one for one in (policy, novelty, record_findings, settle) if getattr(one, name, None) is usual]
+    users = [one for one in (policy, novelty, record_findings) if getattr(one, name, None) is usual]
     for one in users:
         setattr(one, name, off)
     try:
@@ -167,7 +164,7 @@ def _outcomes_of(job: tuple[Case, Path]) -> list[Outcome]:
     except Exception as error:  # a fault costs this case
         progress.step(f"{case.name}: {type(error).__name__}: {error}")
         return []
-    return outcomes(case, [(part.tests.evidence, part.tests) for part in parts if part.tests is not None])
+    return outcomes(case, [(part.evidence, part.tests) for part in parts if part.tests is not None])
 
 
 def changes(found: Sequence[Sequence[Outcome]]) -> dict[str, tuple[int, int, int]]:

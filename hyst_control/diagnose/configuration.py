@@ -34,11 +34,6 @@ class Thresholds:
     # share of the measurement's range, rms: most that coefficients within their tolerance move a simulation without a gap
     moved_share: float = 0.03
     added_share: float = 0.002  # Share of all that a combination removes which each of its effects must add
-    distortion_change: float = 0.5  # Change of an effect's size with a variable from which it is another effect
-    distortion_share: float = 0.01  # share of the energy that the effect explains: least that this change must explain
-    # nats: what such a change must gain where the fits know the spectrum of the model discrepancy: what the largest of four changes
-    # gains by chance in 4 % of the cases, and the margin
-    distortion_whitened: float = 6.3
     noise_deviations: float = 3.0  # standard errors of the noise's estimate: energy beyond the noise's that is no chance
     min_excess: float = 0.1  # share of the noise's energy: energy beyond the noise's under which nothing is called unknown
     # stated energies: energy that does not follow the command up to which it is the repeatability of the plant

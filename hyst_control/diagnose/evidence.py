@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -96,21 +96,8 @@ class ResidualEvidence:
     predictable: float = 1.0  # Share of it that follows the command; 1 where it was not looked for
     # As this hypothesis has them; none without baseline records
     companions: tuple[CompanionEvidence, ...] = ()
-    distortions: tuple[DistortionEvidence, ...] = ()  # Of its effects
     # A vibration whose phase wanders; None where none stands out, or none was looked for
     hump: HumpEvidence | None = None
-    held_out: float = 0.0  # Share of the gap that it leaves on blocks that neither effects nor coefficients were fitted to
-
-
-@dataclass(frozen=True)
-class DistortionEvidence:
-    """Distortion of an effect of an explanation: whether its size would have to change with a variable."""
-
-    effect: str  # Its name
-    variable: str  # What it would change with
-    change: float  # Difference of the effect's size between both ends of the variable, as a share of it
-    statistic: float  # What the distortion explains of the residual, nats
-    share: float  # The same as a share of the energy that the effect explains
 
 
 @dataclass(frozen=True)
@@ -198,11 +185,6 @@ class Evidence:
         """Energy that an explanation begins with: coefficients alone also take off what moves them in "no effect"."""
         least = self.hypotheses[0].energy
         return max(least, self.nominal) if self.hypotheses[chosen].coefficients_alone else least
-
-    def without(self, indices: Collection[int]) -> Evidence:
-        """Drop hypotheses: they claim nothing, whatever they scored."""
-        kept = tuple(replace(one, score=-np.inf) if index in indices else one for index, one in enumerate(self.hypotheses))
-        return replace(self, hypotheses=kept)
 
     def with_residuals(self, residuals: Mapping[int, ResidualEvidence]) -> Evidence:
         """Add what hypotheses leave."""

@@ -9,7 +9,6 @@ from dataclasses import replace
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.evidence import (
     CompanionEvidence,
-    DistortionEvidence,
     Evidence,
     FlickerEvidence,
     HypothesisEvidence,
@@ -35,9 +34,6 @@ LIMITS = replace(
     own_error_energy=1.5,
     noise_own_share=0.01,
     run_to_run=4.0,
-    distortion_change=0.5,
-    distortion_share=0.01,
-    distortion_whitened=6.3,
     stuck=2,
 )
 """The values that the rows below were made for, so that tuning changes no row."""
@@ -93,15 +89,6 @@ OUTLIERS_BASE = none(energy=3.0, residual=replace(SPIKES, energy=1.0))
 
 
 UNRELATED = none(residual=replace(QUIET, energy=BEFORE, predictable=0.0))
-
-
-def changing(
-    change: float, statistic: float = 100.0, share: float = 0.03, variable: str = "level", left: float = 2.0
-) -> HypothesisEvidence:
-    """An effect whose size would have to change."""
-    found = effect("a")
-    tests = (DistortionEvidence("a", variable, change, statistic, share),)
-    return replace(found, residual=replace(QUIET, energy=left, distortions=tests))
 
 
 def session(usual: float) -> HypothesisEvidence:

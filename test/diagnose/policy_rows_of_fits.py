@@ -15,7 +15,6 @@ from test.diagnose.made_evidence import (
     SAMPLES,
     SMALL,
     UNRELATED,
-    changing,
     coefficients,
     effect,
     evidence,
@@ -23,9 +22,6 @@ from test.diagnose.made_evidence import (
     session,
 )
 from test.diagnose.policy_rows import R, Row, V
-
-CHANGING_PAIR = replace(effect("a+b"), residual=replace(changing(0.8).residual, energy=1.5))
-"""Two effects of which the size of one would have to change with the level."""
 
 ROWS = (
     Row(
@@ -53,20 +49,6 @@ ROWS = (
     Row(
         "an effect, and coefficients nearly as far as is believed",
         evidence(effect("a", farthest=9.0)),
-        V.EFFECT,
-        (R.ONE_EXPLANATION,),
-        ("a",),
-    ),
-    Row(
-        "an effect that leaves more than noise, and most of the gap on blocks that it was not fitted to",
-        evidence(effect("a", left=3.0, residual=replace(QUIET, energy=3.0, held_out=0.6))),
-        V.UNKNOWN,
-        (R.UNEXPLAINED_SHARE,),
-        ("a",),
-    ),
-    Row(
-        "an effect that leaves nothing but noise, and on blocks that it was not fitted to a little",
-        evidence(effect("a", residual=replace(QUIET, held_out=0.2))),
         V.EFFECT,
         (R.ONE_EXPLANATION,),
         ("a",),
@@ -119,28 +101,6 @@ ROWS = (
     Row("as much as that varies from run to run", evidence(base=UNRELATED, stated=30.0), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
     Row("a disturbance beyond what clean records show", evidence(base=UNRELATED, stated=2.0), V.UNKNOWN, (R.ENERGY_LEFT,), ("",)),
     Row("an effect that explains a tenth of the gap", evidence(effect("a", left=92.0)), V.UNKNOWN, (R.ENERGY_LEFT,), ("a",)),
-    Row("an effect that changes with the level", evidence(changing(-0.8)), V.UNKNOWN, (R.DISTORTION_LEVEL,), ("a",)),
-    Row("an effect that changes with time", evidence(changing(0.8, variable="time")), V.UNKNOWN, (R.DISTORTION_TIME,), ("a",)),
-    Row("an effect that changes with the rate", evidence(changing(0.8, variable="rate")), V.UNKNOWN, (R.DISTORTION_RATE,), ("a",)),
-    Row("an effect of one direction", evidence(changing(2.0, variable="branch")), V.UNKNOWN, (R.DISTORTION_BRANCH,), ("a",)),
-    Row("a change within the model discrepancy", evidence(changing(0.8, left=1.05)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
-    Row("an effect that changes a little", evidence(changing(0.3)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
-    Row("a change that may be chance", evidence(changing(0.8, NULL + 2.0)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
-    Row(
-        "a change beyond its own chance, where the own error's spectrum is known",
-        evidence(changing(0.8, 9.0, left=0.6, variable="time"), whitened=True),
-        V.UNKNOWN,
-        (R.DISTORTION_TIME,),
-        ("a",),
-    ),
-    Row(
-        "a change within its own chance, where the own error's spectrum is known",
-        evidence(changing(0.8, 6.0, left=0.6), whitened=True),
-        V.EFFECT,
-        (R.ONE_EXPLANATION,),
-        ("a",),
-    ),
-    Row("a change that explains little", evidence(changing(0.8, share=0.005)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
     Row("nothing was tried", evidence(base=SMALL), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
     Row(
         "an effect at the null's threshold",
@@ -321,13 +281,6 @@ ROWS = (
         V.UNKNOWN,
         (R.UNEXPLAINED_SHARE,),
         ("a",),
-    ),
-    Row(
-        "the same of a part that leaves a tenth of the gap",
-        evidence(effect("a", 900.0, left=11.0), CHANGING_PAIR),
-        V.UNKNOWN,
-        (R.DISTORTION_LEVEL,),
-        ("a+b",),
     ),
     Row(
         "a second effect that takes off little beside a clean record of the same command, whose error is in no residual",

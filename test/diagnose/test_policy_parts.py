@@ -12,10 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.decide.novelty import changes, remainder
+from hyst_control.diagnose.decide.novelty import remainder
 from hyst_control.diagnose.decide.policy import decide, join, practical_floor, strained
 from hyst_control.diagnose.decide.record_findings import detected
-from hyst_control.diagnose.evidence import DistortionEvidence
 from hyst_control.diagnose.noise.white import noise_of
 from hyst_control.diagnose.verdict import Decision, Reason, Verdict
 from test.diagnose.made_evidence import ALL, LIMITS, PLAIN, QUIET, coefficients, effect, evidence, none
@@ -94,20 +93,6 @@ def test_energy_beyond_the_noise_counts_from_three_standard_errors_of_its_estima
         left = replace(QUIET, energy=1.0 + deviations * scatter)
         seen = evidence(effect("delay", residual=left), floor=0.0, noise_bins=0.5 * (upper - lower) * rows)
         assert (remainder(seen, 1, LIMITS) > 0.0) == counts
-        changing = DistortionEvidence("delay", "level", 10.0, 1e6, 1.0)
-        of_itself = evidence(
-            effect("delay", residual=replace(left, distortions=(changing,))), floor=0.0, noise_bins=seen.noise_bins
-        )
-        assert any(sign > LIMITS.novelty_threshold for _, sign in changes(of_itself, 1, LIMITS)) == counts
-
-
-def test_a_part_that_does_not_hold_takes_its_combinations_with_it_that_are_hardly_better():
-    both = effect("a+b", score=990.0, left=0.999)
-    found = evidence(effect("a"), both)
-    assert found.hypotheses[decide(found, LIMITS).chosen].names == ("a",)
-    assert decide(found.without([1]), LIMITS).chosen == 0
-    better = evidence(effect("a", left=3.0), both).without([1])
-    assert better.hypotheses[decide(better, LIMITS).chosen].names == ("a", "b")
 
 
 @pytest.mark.parametrize("nominal, verdict", [(0.0, Verdict.UNKNOWN), (12_500.0, Verdict.PARAMETERS)])

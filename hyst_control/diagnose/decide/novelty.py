@@ -14,8 +14,7 @@ import numpy as np
 
 from hyst_control.diagnose.configuration import Thresholds
 from hyst_control.diagnose.decide.record_findings import residual_of, share_of_outliers
-from hyst_control.diagnose.evidence import DistortionEvidence, Evidence, HypothesisEvidence, Outliers
-from hyst_control.diagnose.record_checks.summary import held_at_one_value
+from hyst_control.diagnose.evidence import Evidence, HypothesisEvidence, Outliers
 from hyst_control.diagnose.verdict import Reason
 
 
@@ -34,9 +33,7 @@ def signs(
         found[Reason.UNEXPLAINED_SHARE] = min(share, max(beyond, one.farthest / thresholds.many_tolerances))
     if _too_many(evidence, chosen, thresholds):
         found[Reason.TOO_MANY_EFFECTS] = one.together / thresholds.max_effects
-    for test, sign in changes(evidence, chosen, thresholds):
-        reason = Reason(f"distortion_{test.variable}")
-        found[reason] = max(sign, found.get(reason, 0.0))
+    found[Reason.DISTORTION_LEVEL] = max([0.0, *(sign for _, sign in stands(evidence, chosen, thresholds))])
     return found
 
 
@@ -53,32 +50,17 @@ def score(evidence: Evidence, chosen: int, found: Mapping[Reason, float], at_bou
     return clearest / (clearest + threshold)
 
 
-def changes(evidence: Evidence, chosen: int, thresholds: Thresholds) -> list[tuple[DistortionEvidence, float]]:
-    """Tests by which a named effect is not itself, each with its sign: its size would have to change a lot, and that would explain much."""
-    found = _constancy(evidence, chosen, thresholds)
-    if not evidence.repeating.intersection(evidence.hypotheses[chosen].names):
-        for seen in evidence.record:
-            # One stretch is none that came back; half a stretch short of the threshold is on it.
-            often = (seen.stuck - 1.0) / (thresholds.stuck - 1.5)
-            sign = min(often, seen.stuck / max(thresholds.beyond_clean * seen.usual_stuck, 1e-300))
-            if sign > 0.0:
-                found.append((held_at_one_value(seen), sign))
-    return sorted(found, key=lambda each: -each[0].statistic)
-
-
-def _constancy(evidence: Evidence, index: int, thresholds: Thresholds) -> list[tuple[DistortionEvidence, float]]:
-    """Distortion tests of a hypothesis, each with its sign."""
-    residual, due = residual_of(evidence, index), evidence.stated
-    # What is left must exceed what the model leaves on baseline records, unless the fits know its spectrum: then the statistic has that.
-    beyond = np.inf if evidence.whitened else (residual.energy - due) / (_excess(evidence, thresholds) * due)
-    nats = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
+def stands(evidence: Evidence, chosen: int, thresholds: Thresholds) -> list[tuple[int, float]]:
+    """Axes whose measurement stands on one value again and again, each with its sign."""
+    if evidence.repeating.intersection(evidence.hypotheses[chosen].names):
+        return []
     found = []
-    for test in residual.distortions:
-        sign = min(
-            beyond, test.statistic / nats, abs(test.change) / thresholds.distortion_change, test.share / thresholds.distortion_share
-        )
+    for axis, seen in enumerate(evidence.record):
+        # One stretch is none that came back; half a stretch short of the threshold is on it.
+        often = (seen.stuck - 1.0) / (thresholds.stuck - 1.5)
+        sign = min(often, seen.stuck / max(thresholds.beyond_clean * seen.usual_stuck, 1e-300))
         if sign > 0.0:
-            found.append((test, float(sign)))
+            found.append((axis, sign))
     return found
 
 
@@ -120,7 +102,7 @@ def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> floa
     if one.names:
         beyond = min(beyond, one.taken_up / before)
     left = residual_of(evidence, chosen)
-    return max(beyond, left.held_out, float(np.clip((left.energy - evidence.stated) / before, 0.0, 1.0)))
+    return max(beyond, float(np.clip((left.energy - evidence.stated) / before, 0.0, 1.0)))
 
 
 def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:

@@ -5,8 +5,8 @@
 `decide` judges one problem, `join` the axes of a plant. A hypothesis is a claim where it beats the simulated null and takes off more
 than the practical size; claims become probabilities by their scores. The verdict is the first of these whose rule holds:
 
-    unknown      the best explanation leaves too much, needs too many effects, one at the end of its range, one whose size changes
-                 with something else, or beside effects much is left, or taken up by coefficients far away
+    unknown      the best explanation leaves too much, needs too many effects, one at the end of its range, the measurement stands
+                 on one value, or beside effects much is left, or taken up by coefficients far away
     ambiguous    the data cannot separate several explanations
     effect       one explanation by effects, or where coefficients are none what a check of the record found
     parameters   the coefficients explain it, further off than their tolerance, or within it where that moves the simulation far
@@ -111,7 +111,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
         shown,
         outliers,
         companions,
-        tuple(test for test, sign in novelty.changes(evidence, chosen, thresholds) if sign > thresholds.novelty_threshold),
+        tuple(axis for axis, sign in novelty.stands(evidence, chosen, thresholds) if sign > thresholds.novelty_threshold),
         max(unaccounted, unexplained(evidence, chosen, thresholds)),
         novelty.score(evidence, chosen, signs, at_bound, thresholds),
     )

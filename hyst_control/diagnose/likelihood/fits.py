@@ -19,9 +19,9 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain.command_features import CommandFeatures
 from hyst_control.diagnose.likelihood.evidence import Fit
 from hyst_control.diagnose.likelihood.octaves import Octaves, cosine, octaves_of
+from hyst_control.diagnose.likelihood.variables import variables_of
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found
 from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
-from hyst_control.diagnose.validate.constancy import variables_of
 
 FEATURE_SIZE = 0.01  # Size of a feature of the command at weight 1, in the measurement's range
 

@@ -17,7 +17,7 @@ from hyst_control.diagnose.likelihood.evidence import log_evidence
 from hyst_control.diagnose.likelihood.fits import Fits, Hypothesis
 from hyst_control.diagnose.likelihood.hypotheses import Priors, Weighed, weighted_octaves
 from hyst_control.diagnose.likelihood.octaves import Octaves
-from hyst_control.diagnose.validate.constancy import VARIABLES
+from hyst_control.diagnose.likelihood.variables import VARIABLES
 
 AFTER_PLAYS, AFTER_LAGS = FIRST_PLAY + len(PLAYS), FIRST_PLAY + len(PLAYS) + len(LAGS)
 # In the order of `features_of_tick`: 0-2 powers of the level, 3-8 products with the rate, 9-14 distance from the last reversal, plays,

@@ -14,7 +14,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings, NoiseSettings
-from hyst_control.diagnose.evidence import DistortionEvidence, Finding, RecordEvidence
+from hyst_control.diagnose.evidence import Finding, RecordEvidence
 from hyst_control.diagnose.noise.white import noise_of
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.record_checks.repeated_values import level_crossings, repeated_samples, stuck_stretches
@@ -76,13 +76,6 @@ def held_samples(seen: RecordEvidence, axis: int) -> Finding:
     spread = NORMAL_95 * np.sqrt(share * (1 - share) / count)
     interval = (float(share - spread), float(share + spread))
     return Finding(RecordCheck.REPEATED_VALUES, axis, share, interval, seen.repeated_rms, share * count)
-
-
-def held_at_one_value(seen: RecordEvidence) -> DistortionEvidence:
-    """Distortion of held samples that occur at one value of the measurement alone."""
-    held = effect_found_by(RecordCheck.REPEATED_VALUES)
-    name = RecordCheck.REPEATED_VALUES.value if held is None else held.name
-    return DistortionEvidence(name, "level", 2.0, (seen.stuck - 1) * float(np.log(seen.samples)), 1.0)
 
 
 def rounding(seen: RecordEvidence, axis: int) -> Finding:

@@ -33,13 +33,6 @@ SAID = {
     "drive": "amplifier",
 }
 """Words for the document's names."""
-DISTORTED_BY = {
-    "time": "time",
-    "level": "the level of the command",
-    "rate": "the rate of the command",
-    "branch": "the direction of the command",
-}
-"""Variables of the distortion tests, in words."""
 
 
 def gap_report(
@@ -81,16 +74,6 @@ def gap_report(
             "novelty": joint.novelty,
             "replay": [{"name": block.name, "faithful": block.faithful, "rms": block.rms, "text": block.text} for block in blocks],
             "notes": list(diagnosis.notes),
-            "distortions": [
-                {
-                    "name": one.effect,
-                    "axis": [diagnosis.model.axes[i] for i in part.axes],
-                    "variable": one.variable,
-                    "change": one.change,
-                }
-                for part in diagnosis.parts
-                for one in part.decision.distortions
-            ],
         }
     )
     if any(part.baseline for part in diagnosis.parts):
@@ -270,14 +253,8 @@ def _nearest(report: dict[str, Any], names: Sequence[str]) -> str:
     """Phrase on the explanation that comes nearest, and why it is none; empty where none is named."""
     reasons, together = report.get("reasons", ()), " and ".join(names)
     if Reason.ENERGY_LEFT.value not in reasons:
-        if report.get("distortions"):
-            worst = report["distortions"][0]
-            if worst["name"] not in {effect["name"] for effect in report["effects"]}:  # of the record itself, whatever is named
-                return "; the measurement stands on one level while the command moves on"
-            plain = worst["name"].replace("_", " ")
-            alone = len(names) == 1
-            nearest = f"{plain} is the nearest, but its size" if alone else f"{together} come nearest, but the size of the {plain}"
-            return f"; {nearest} would have to change by {100 * abs(worst['change']):.0f} % with {DISTORTED_BY[worst['variable']]}"
+        if Reason.DISTORTION_LEVEL.value in reasons:  # of the record itself, whatever is named
+            return "; the measurement stands on one level while the command moves on"
         if names and _strain(report) > FAR_OFF and Reason.UNEXPLAINED_SHARE.value in reasons:
             return f"; {together} would, but only with coefficients {_strain(report):.0f} σ from the model's"
         if names and Reason.AT_BOUND.value in reasons:

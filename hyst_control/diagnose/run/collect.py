@@ -15,7 +15,6 @@ from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import Configuration
 from hyst_control.diagnose.evidence import (
     CompanionEvidence,
-    DistortionEvidence,
     Evidence,
     Finding,
     FlickerEvidence,
@@ -91,7 +90,6 @@ def residual_evidence(
     checks: frozenset[RecordCheck],
     configuration: Configuration,
     beside: tuple[CompanionEvidence, ...],
-    distorted: tuple[DistortionEvidence, ...] = (),
 ) -> ResidualEvidence:
     """Measure what a hypothesis leaves."""
     steps = np.zeros(len(problem.model.axes))
@@ -114,7 +112,6 @@ def residual_evidence(
         _flicker(problem, scored, configuration) if RecordCheck.FALLING_SPECTRUM in seen else None,
         _predictable(problem, rows, configuration.baseline.blocks) if problem.beside_error else 1.0,
         beside,
-        distorted,
         _hump(problem, scored, configuration) if RecordCheck.SPECTRAL_HUMP in seen else None,
     )
 

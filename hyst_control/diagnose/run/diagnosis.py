@@ -26,7 +26,7 @@ from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_unit, split
 from hyst_control.diagnose.record_checks.command_roughness import as_recorded, roughness_evidence, with_commands
 from hyst_control.diagnose.record_checks.spectral_lines import lines
-from hyst_control.diagnose.record_checks.summary import effect_found_by, held_at_one_value
+from hyst_control.diagnose.record_checks.summary import effect_found_by
 from hyst_control.diagnose.run.collect import collect
 from hyst_control.diagnose.run.prepare import is_used, nominal_residuals, prepare, with_noise
 from hyst_control.diagnose.run.settle import ContenderTests, settled
@@ -55,7 +55,7 @@ class AxisDiagnosis:
     evidence: Evidence  # Numbers that the decision is based on
     decision: Decision  # Verdict, its reasons, and the effects that are named
     baseline: Baseline | None = None  # Baseline records or stated discrepancy that were used
-    tests: ContenderTests | None = None  # What contenders leave, and whether they hold; None by likelihood
+    tests: ContenderTests | None = None  # What contenders leave; None by likelihood
     structure: Mapping[str, float] = field(default_factory=dict)  # Of an unknown gap, by the likelihood core: see `structure`
 
     @property
@@ -313,7 +313,7 @@ def _axis(
     with forked(known):  # effects hold functions, which cannot be sent
         found = search(linearized, members, null + thresholds.margin, prepared.floor, prepared.leaves, progress, configuration)
         evidence = collect(found, null, prepared, configuration)
-        tests = ContenderTests(prepared, found, evidence, baseline, configuration)
+        tests = ContenderTests(prepared, found, baseline, configuration)
         evidence, decision = settled(evidence, tests, thresholds)
     return AxisDiagnosis(axes, problem, linearized, found, evidence, decision, baseline, tests)
 
@@ -388,12 +388,10 @@ def _without_roughness(problem: Problem, configuration: Configuration) -> Proble
 
 def _outlier_notes(part: AxisDiagnosis) -> list[str]:
     model, rows = part.problem.model, part.evidence.rows
-    tests = [held_at_one_value(seen) for seen in part.evidence.record]
     return [
-        f"{axis}: in {seen.stuck} stretches the measurement stands on one and the same value while the command moves: a dead band of "
-        "the sensor, or the end of its range"
-        for axis, seen, test in zip(model.axes, part.evidence.record, tests, strict=True)
-        if test in part.decision.distortions
+        f"{model.axes[axis]}: in {part.evidence.record[axis].stuck} stretches the measurement stands on one and the same value while the "
+        "command moves: a dead band of the sensor, or the end of its range"
+        for axis in part.decision.stands
     ] + [
         f"{model.axes[one.axis]}: {one.count} single samples ({one.count / rows:.2%}) stand out of the noise: outliers, "
         f"{one.rms:.3g} {model.units['measurement']} rms"

@@ -1,3 +1,3 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of a fitted candidate: constancy, reduction on left-out samples, presence in baseline records."""
+"""Tests of a fitted candidate: reduction on left-out samples, presence in baseline records."""

@@ -76,15 +76,6 @@ def held_out(
     return nothing, found
 
 
-def left_out(linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis, settings: ReductionSettings) -> float:
-    """Share of the gap, beyond the noise, that effects leave on blocks that they were not fitted to."""
-    if scored.candidate is None:
-        return 0.0
-    _, (errors,) = held_out(linearized, [scored], none, settings)
-    before, after = float(errors.before_fitted.mean()), float(errors.after_fitted.mean())
-    return float(np.clip((after - 1.0) / max(before - 1.0, 1e-12), 0.0, 1.0))
-
-
 def _halves(linearized: Linearized, settings: ReductionSettings) -> list[tuple[Mask, Array]]:
     """Samples (M,) of every other block that are held out, and weights of those that are fitted then; of either half."""
     count = len(linearized.measured)
@@ -104,35 +95,6 @@ def _beside_companions(columns: Array, residual: Array) -> Array:
         return residual
     gram = columns.T @ columns + np.eye(columns.shape[1])
     return np.asarray(residual - columns @ np.linalg.solve(gram, columns.T @ residual), dtype=np.float64)
-
-
-def holds(linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis, settings: ReductionSettings) -> bool:
-    """Check that effects leave less than no effect does on blocks that they were not fitted to."""
-    assert scored.candidate is not None
-    unknowns = scored.candidate.unknowns()
-    before = after = 0.0
-    for rows, weight in _halves(linearized, settings):
-        alone = fit(linearized, z=none.solution.z, weight=weight, rounds=settings.rounds)
-        both = fit(linearized, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
-        columns = linearized.columns[rows][:, linearized.scatter.companions > 0]
-        before += float(np.sum(_beside_companions(columns, (linearized.measured - linearized.simulate(alone.z))[rows]) ** 2))
-        left = (linearized.measured - linearized.simulate(both.z, unknowns, both.x))[rows]
-        after += float(np.sum(_beside_companions(columns, left) ** 2))
-    return after < before
-
-
-def widens(linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis) -> bool:
-    """Check whether effects, added to the model as given, make the gap larger."""
-    assert scored.candidate is not None
-    # Beside baseline records such effects are not there; without, a true one may happen to hide a part of what the coefficients do.
-    companions = _companions(linearized)
-
-    def gap(simulated: Array) -> float:
-        return float(np.sum(_beside_companions(companions, linearized.problem.in_noise(linearized.measured - simulated)) ** 2))
-
-    before = gap(linearized.simulate(linearized.companions(none.solution.z)))
-    companion = linearized.companions(scored.solution.z)
-    return gap(linearized.simulate(companion, scored.candidate.unknowns(), scored.solution.x)) > before
 
 
 def shrink(

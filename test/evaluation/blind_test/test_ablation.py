@@ -18,7 +18,7 @@ CLAIMS = evidence(effect("a"), effect("b", 999.0), coefficients(0.0))
 
 @dataclass(frozen=True)
 class Measured:
-    """Tests whose residuals are those of made-up evidence, and by which every hypothesis holds."""
+    """Tests whose residuals are those of made-up evidence."""
 
     evidence: Evidence
 
@@ -26,9 +26,6 @@ class Measured:
         found = {index: self.evidence.hypotheses[index].residual for index in indices}
         assert None not in found.values()
         return found
-
-    def dropped(self, index: int) -> tuple[int, ...]:
-        return ()
 
 
 def test_a_move_changes_the_cases_that_it_decides():
