@@ -79,7 +79,7 @@ class Member:
         """Place in the signal chain, such as "dac"."""
         return self.elsewhere or self.effect.place
 
-    @property
+    @cached_property
     def variant(self) -> tuple[Any, ...]:
         """Key that tells it from other members of a candidate."""
         return self.name, self.axis, round(self.frequency)

@@ -10,8 +10,9 @@ sum, and what it leaves follows from one matrix of scalar products. The best are
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -63,19 +64,22 @@ def closest_combinations(
     products = linearized.unexplained_products(*parts, gap[:, None])
     gram, right, energy = products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
     weight, each = linearized.problem.weight, float(np.log(len(gap))) / linearized.problem.weight
-    place = {id(one): (int(edges[i]), int(edges[i + 1])) for i, one in enumerate(tangents)}
+    begins = {id(one): int(edges[i]) for i, one in enumerate(tangents)}
+    pairs = [(one, other) for one in some for other in effects if _may_act_together(one.candidate, other.candidate)]
+    ends: list[tuple[float, Array]] = [(np.inf, np.zeros(0))] * len(pairs)
+    shapes = np.array([(one.columns.shape[1], other.columns.shape[1]) for one, other in pairs]).reshape(-1, 2)
+    for shape in np.unique(shapes, axis=0):
+        alike = np.flatnonzero(np.all(shapes == shape, axis=1))
+        added = np.array([[begins[id(one)], begins[id(other)]] for one, other in (pairs[k] for k in alike)])
+        for k, end in zip(alike, _after_steps(gram, right, energy, added, shape, weight), strict=True):
+            ends[k] = end
     best: dict[frozenset[object], tuple[float, Tangent, Tangent, Array]] = {}
-    for one in some:
-        for other in effects:
-            (member,) = other.candidate.members
-            if any(member.variant == known.variant or known.excludes(member) for known in one.candidate.members):
-                continue
-            left, step = _after_step(gram, right, energy, place[id(one)], place[id(other)], weight)
-            # A combination of many parameters comes closer by chance: Schwarz's criterion (1978).
-            left += each * len(step)
-            names = frozenset(known.variant for known in (*one.candidate.members, member))
-            if names not in best or left < best[names][0]:
-                best[names] = left, one, other, step
+    for (one, other), (left, step) in zip(pairs, ends, strict=True):
+        # A combination of many parameters comes closer by chance: Schwarz's criterion (1978).
+        left += each * len(step)
+        names = frozenset(known.variant for tangent in (one, other) for known in tangent.candidate.members)
+        if names not in best or left < best[names][0]:
+            best[names] = left, one, other, step
     met, chosen = Counter[str](), list[tuple[Candidate, Array]]()
     for _, one, other, step in sorted(best.values(), key=lambda item: item[0]):
         every = {member.name for tangent in (one, other) for member in tangent.candidate.members}
@@ -99,16 +103,25 @@ def _tangent(linearized: Linearized, candidate: Candidate, values: Array) -> tup
     return None
 
 
-def _after_step(
-    gram: Array, right: Array, energy: float, one: tuple[int, int], other: tuple[int, int], weight: float
-) -> tuple[float, Array]:
-    """Squared size of what two tangents leave after a step in their parameters, and this step."""
-    added = [one[0], other[0]]
-    columns = [*range(one[0] + 1, one[1]), *range(other[0] + 1, other[1])]
-    before = energy - 2.0 * float(right[added].sum()) + float(gram[np.ix_(added, added)].sum())
-    slope = right[columns] - gram[np.ix_(columns, added)].sum(axis=1)
-    step = np.linalg.solve(gram[np.ix_(columns, columns)] + np.eye(len(columns)) / weight, slope)
-    return before - float(slope @ step), step
+def _may_act_together(one: Candidate, other: Candidate) -> bool:
+    (member,) = other.members
+    return not any(member.variant == known.variant or known.excludes(member) for known in one.members)
+
+
+def _after_steps(
+    gram: Array, right: Array, energy: float, added: Annotated[Array, "B 2"], parameters: Sequence[int], weight: float
+) -> Iterator[tuple[float, Array]]:
+    """Squared size of what each pair of tangents leaves after a step in their parameters, and this step.
+
+    added: numbers of the columns that the two of each pair add; their derivatives by so many parameters follow there.
+    """
+    columns = np.concatenate([added[:, [k]] + 1 + np.arange(count) for k, count in enumerate(parameters)], axis=1)
+    before = energy - 2.0 * right[added].sum(axis=1) + gram[added[:, :, None], added[:, None, :]].sum(axis=(1, 2))
+    slopes = right[columns] - gram[columns[:, :, None], added[:, None, :]].sum(axis=2)
+    inner = gram[columns[:, :, None], columns[:, None, :]] + np.eye(columns.shape[1]) / weight
+    steps = np.linalg.solve(inner, slopes[:, :, None])[:, :, 0]
+    for left, slope, step in zip(before.tolist(), slopes, steps, strict=True):
+        yield left - float(slope @ step), step
 
 
 def _combined(one: Tangent, other: Tangent, step: Array) -> tuple[Candidate, Array]:
