@@ -43,6 +43,8 @@ def test_what_the_command_makes_and_what_does_not_last_is_no_hum():
     assert lines(NOISE) == lines(NOISE + 0.2 * mode(BINARY)) == []
     for frequency in (11.0, 22.0, 46.0, 34.0, 12.0):  # lines, harmonics, sums and differences
         assert lines(NOISE + 0.1 * np.sin(2 * np.pi * frequency * TIME), TONES) == []
+    swelling = np.linspace(0.2, 1.0, ROWS) * np.sin(2 * np.pi * 5.0 * TIME)
+    assert lines(NOISE + 0.1 * np.sin(2 * np.pi * 4.7 * TIME), swelling) == []  # nearer than what the record's length can tell
     assert lines(NOISE + 0.3 * (TIME < 0.4) * np.sin(2 * np.pi * 50.0 * TIME)) == []
     ringing = np.zeros(ROWS)
     ringing[np.random.default_rng(3).choice(ROWS, 12)] = 1.0

@@ -21,8 +21,9 @@ SECTIONS, STEADY = 8, 0.8
 STRONG, LARGE = 0.05, 1e-3  # Least share of the error's power, and least amplitude in the range, that are reported
 PROMINENT, BESIDE = 100.0, (4, 12)  # Ratio of a line's power and that of the bins beside it, so many away
 PEAKS = 5  # Largest peaks that are tried
-COMMAND_LINES, HARMONICS, NEAR = 20, 3, 0.5
-"""Largest lines of a command whose harmonics and their sums and differences are its own, and the bins by which two frequencies differ."""
+COMMAND_LINES, HARMONICS, NEAR, LOBE = 20, 3, 0.5, 1.5
+"""Largest lines of a command whose harmonics and their sums and differences are its own, the bins by which two frequencies differ, and
+those by which what is left differs from a line that swells."""
 MAINS, OFF_MAINS = (50.0, 60.0), 0.01  # Frequencies of the mains, Hz, and the share by which they vary
 
 
@@ -96,6 +97,8 @@ def _steady_sine(values: Array, frequency: float) -> tuple[float, Complex]:
 def _made_by(command: Annotated[Array, "N C"], frequency: float) -> bool:
     """True of a frequency, in bins, that is a sum or a difference of harmonics of the commands' lines."""
     lines = np.concatenate([_peaks(values)[:COMMAND_LINES] for values in command.T if np.ptp(values) > 0.0] or [np.zeros(0)])
+    if np.any(np.abs(lines - frequency) < LOBE):
+        return True
     several = np.concatenate([[0.0], *(order * lines for order in range(1, HARMONICS + 1))])
     sums = (np.abs(one + sign * other) for one, (sign, other) in product(several, product((1.0, -1.0), [several])))
     return any(np.any(np.abs(each - frequency) < NEAR) for each in sums)
