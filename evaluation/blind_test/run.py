@@ -177,7 +177,8 @@ def add_realized(batch: Batch) -> None:
     for case in batch.cases() if batch.source == "simulated" else ():
         path = batch.folder / "reports" / f"{case.name}.json"
         report = read_json(path) if path.exists() else {"verdict": ""}
-        if report["verdict"] == "effect" and "shrink_realised" not in report and _predicted(report) is not None:
+        predicts = report["verdict"] == "effect" and "shrink_realised" not in report and _predicted(report) is not None
+        if predicts and path.with_suffix(".yaml").exists():  # effects that widen the gap are in no augmented model
             jobs.append((case, path, batch.folder / "cases" / case.name / "model.yaml"))
     for _ in map_spawned(_realize_one, jobs):
         pass
