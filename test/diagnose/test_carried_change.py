@@ -13,7 +13,6 @@ from scipy.signal import butter, cont2discrete, lfilter
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.model_error.plant_response import lacking_response
-from hyst_control.diagnose.model_error.uncertain_change import relative_error, with_uncertain_change
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.per_record_stages import CarriedError, LackingResponse
 from hyst_control.diagnose.problem.problem import Piece, Problem
@@ -138,20 +137,3 @@ def test_noise_that_an_effect_takes_off_the_carried_error_is_no_gain():
     impulse = lfilter(b.ravel(), a, np.arange(300) == 0.0)
     assert share("sensor_lowpass", cutoff=50.0, order=1.0) == pytest.approx(impulse @ impulse, rel=0.03)
     assert share("delay", tau=2 * step) == pytest.approx(1.0, rel=0.01)
-
-
-def test_a_change_is_known_as_well_as_the_output():
-    """An error of a tenth of the output at one frequency: of a change there a tenth is uncertain, elsewhere all of it."""
-    rows, step = 4000, 1e-3
-    time = step * np.arange(rows)
-    swell = np.hanning(rows)  # so that neither has power at the frequency of the other
-    at, beside = ((swell * np.sin(2 * np.pi * frequency * time))[:, None] for frequency in (20.0, 200.0))
-    model = Model("gain", ("x",), {"command": "V", "measurement": "um"}, step, Chain((TransferFunction((1.0,), (1.0,)),)))
-    problem = Problem(model, (Piece(at, at),), step, "foh", np.array([1e-3]))
-    noise = 1e-5 * np.random.default_rng(3).standard_normal((rows, 1))
-    relative = relative_error(problem, [0.1 * at + noise])
-    spectrum = with_uncertain_change(problem, relative, at + beside).own_spectrum
-    power = np.interp([20.0, 200.0], spectrum.frequencies, spectrum.power[:, 0])
-    whole = with_uncertain_change(problem, replace(relative, power=np.ones_like(relative.power)), at + beside).own_spectrum
-    shares = power / np.interp([20.0, 200.0], whole.frequencies, whole.power[:, 0])
-    np.testing.assert_allclose(shares, [0.01, 1.0], rtol=0.05)

@@ -35,7 +35,6 @@ from hyst_control.diagnose.model_error.other_commands import (
 )
 from hyst_control.diagnose.model_error.plant_response import lacking_response
 from hyst_control.diagnose.model_error.same_command import Match, matching, period_differences, repeating_rows
-from hyst_control.diagnose.model_error.uncertain_change import relative_error
 from hyst_control.diagnose.model_error.unknown_initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.model_error.unknown_initial_motion import without_initial_motion
 from hyst_control.diagnose.noise.denoised_error import white_noise, without_noise
@@ -72,8 +71,6 @@ class Baseline:
     # The baseline records with the rows on which the error was measured: those that say nothing of the time before the record, where
     # the new records have no others. None where the error is carried over, or a model file states it
     error_rows: Problem | None = None
-    # By frequency, the model's error as a share of its output; None where that error is not carried over
-    relative: ErrorSpectrum | None = None
 
     @property
     def is_of_other_commands(self) -> bool:
@@ -287,7 +284,7 @@ def _carried(
         own_spectrum=reduce(ErrorSpectrum.with_further, spectra) if spectra else None,
     )
     error = np.sqrt(np.mean(np.concatenate([without_zero(rows)[0] for rows in series]) ** 2, axis=0))
-    return Baseline(beside, True, repeatability, usual, floor, clean, error, relative=relative_error(kept_rows, series))
+    return Baseline(beside, True, repeatability, usual, floor, clean, error)
 
 
 def _as_the_plant_answers(problem: Problem, clean: Problem, matches: Sequence[Sequence[Match]]) -> tuple[Problem, Problem]:

@@ -20,7 +20,6 @@ from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
 from hyst_control.diagnose.model_error.baseline import Baseline, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.model_error.between_periods import by_periods, gain_over_time
 from hyst_control.diagnose.model_error.same_command import as_clean_command
-from hyst_control.diagnose.model_error.uncertain_change import with_uncertain_change
 from hyst_control.diagnose.model_error.unknown_initial_motion import beside_clean, with_initial_motion
 from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_unit, split
@@ -35,7 +34,7 @@ from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.diagnose.search.null_distribution import threshold
 from hyst_control.diagnose.verdict import Decision, Verdict
 from hyst_control.effects import EFFECTS
-from hyst_control.effects.effect import PLACES, RecordCheck
+from hyst_control.effects.effect import RecordCheck
 from hyst_control.effects.gain_drift import EFFECT as GAIN_DRIFT
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
@@ -139,9 +138,6 @@ def diagnose(
                     break
             else:
                 first = second
-        if (uncertain := _with_uncertain_change(first)) is not None:
-            second = _axis(part, uncertain, bare, axes, seed, without, cache, progress, configuration)
-            first = first if second.decision.verdict is Verdict.NO_GAP else second
         parts.append(_between_periods(first, without, singles, again))
     notes += [note for part in parts for note in _outlier_notes(part)]
     problem = replace(problem, beside_error=parts[0].problem.beside_error)
@@ -327,22 +323,6 @@ def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool
     return "spectrum" in found.problem.model.discrepancy and any(
         lines(found.problem, left, configuration.checks).get(name) for name in _line_effects()
     )
-
-
-def _with_uncertain_change(found: AxisDiagnosis) -> Baseline | None:
-    """The baseline with what the model may be wrong by in the likeliest effect's change; None where one effect explains all."""
-    beside, singles = found.baseline, [one for one in found.hypotheses if len(one.names) == 1 and one.candidate is not None]
-    explained = found.decision.verdict is Verdict.EFFECT and all(len(one.names) == 1 for one in found.listed)
-    if beside is None or beside.relative is None or explained or found.decision.verdict is Verdict.NO_GAP or not singles:
-        return None
-    best = max(singles, key=lambda one: one.score)
-    assert best.candidate is not None
-    # What acts on the plant's whole motion takes the carried error with it. A spectrum is of the same rows.
-    behind = all(PLACES.index(member.place) > PLACES.index("mechanics") for member in best.candidate.members)
-    if behind or found.problem.counts != beside.problem.counts:
-        return None
-    change = found.problem.rows(found.found.none.solution.residual - best.solution.residual)
-    return replace(beside, problem=with_uncertain_change(beside.problem, beside.relative, change))
 
 
 def _between_periods(
