@@ -69,4 +69,6 @@ def test_free_motion_is_that_of_powers_of_the_transition_in_any_units_of_the_sta
     found = np.vstack([decay.rows(300), decay.rows(700)])
     expected = [output @ np.linalg.matrix_power(transition, row) for row in range(1, 1001)]
     np.testing.assert_allclose(found / units, np.array(expected) / units, rtol=0, atol=1e-11)
-    assert not Decay(0.5 * np.eye(2), output).rows(60)[-1].any()  # what has died away is none
+    quick = Decay(0.5 * np.eye(2), output)
+    np.testing.assert_allclose(quick.rows(60)[:, 0], 0.5 ** np.arange(1, 61), rtol=1e-12)
+    assert quick.is_over and not quick.rows(5).any()  # what has died away is none
