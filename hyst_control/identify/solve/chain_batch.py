@@ -161,9 +161,9 @@ class Decay:
             np.matmul(found[known - step : known - step + more], power, out=found[known : known + more])
             known += more
             power = power @ power if step < TOGETHER else power
-        late = np.abs(found[-TOGETHER:]).max(axis=0)
         self._largest = np.maximum(self._largest, np.abs(found).max(axis=0))
-        self._row = found[-1] if np.any(late > NEGLIGIBLE * self._largest) else np.zeros(self.states)
+        alive = np.any(np.abs(found[-1]) > NEGLIGIBLE * self._largest)
+        self._row = found[-1] if alive else np.zeros(self.states)
         return found
 
 
