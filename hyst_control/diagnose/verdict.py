@@ -30,7 +30,7 @@ class Reason(str, Enum):
     AT_BOUND = "at_bound"  # Unknown: the one explanation has an effect at the end of its range
     # Unknown: beside the effects much of the gap is left, or taken up by coefficients many tolerances away.
     UNEXPLAINED_SHARE = "unexplained_share"
-    DISTORTION_LEVEL = "distortion_level"  # Unknown: the measurement stands on one value while the command moves
+    DISTORTION_LEVEL = "distortion_level"  # Unknown: the measurement stays on one value while the command moves
     # Unknown: by the likelihood of all hypotheses, something that none of them is, is more probable than all of them.
     SOMETHING_ELSE = "something_else"
     SEVERAL_EXPLANATIONS = "several_explanations"  # Ambiguous: more than one explanation is probable
@@ -60,7 +60,7 @@ class Decision:
     findings: tuple[Finding, ...] = ()  # Effects without a waveform
     outliers: tuple[Outliers, ...] = ()  # What excess noise consists of, where it is outliers
     companions: tuple[CompanionEvidence, ...] = ()  # Zero and drift of the session, where they are named
-    stands: tuple[int, ...] = ()  # Axes whose measurement stands on one value while the command moves
+    stands: tuple[int, ...] = ()  # Axes whose measurement stays on one value while the command moves
     # Share of the gap's energy that no known effect explains with coefficients that are near their tolerances, however small
     unexplained: float = 0.0
     # Novelty score, 0 … 1: m / (m + q), m the clearest sign of an unknown effect, q the conformal threshold; see `novelty`

@@ -51,7 +51,7 @@ def score(evidence: Evidence, chosen: int, found: Mapping[Reason, float], at_bou
 
 
 def stands(evidence: Evidence, chosen: int, thresholds: Thresholds) -> list[tuple[int, float]]:
-    """Axes whose measurement stands on one value again and again, each with its sign."""
+    """Axes whose measurement stays on one value again and again, each with its sign."""
     if evidence.repeating.intersection(evidence.hypotheses[chosen].names):
         return []
     found = []

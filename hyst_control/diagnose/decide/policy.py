@@ -5,7 +5,7 @@
 `decide` judges one problem, `join` the axes of a plant. A hypothesis is a claim where it beats the simulated null and takes off more
 than the practical size; claims become probabilities by their scores. The verdict is the first of these whose rule holds:
 
-    unknown      the best explanation leaves too much, needs too many effects, one at the end of its range, the measurement stands
+    unknown      the best explanation leaves too much, needs too many effects, one at the end of its range, the measurement stays
                  on one value, or beside effects much is left, or taken up by coefficients far away
     ambiguous    the data cannot separate several explanations
     effect       one explanation by effects, or where coefficients are none what a check of the record found

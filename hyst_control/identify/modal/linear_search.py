@@ -129,7 +129,7 @@ class Trials:
         return error.visit(candidate.solution.parameters).fitted
 
     def explains(self, candidate: Candidate, parts: Sequence[Window], most: float) -> bool:
-        """Check that a structure, fitted anew to more parts, leaves no more than so much of any."""
+        """Check that the mean square error of a structure, fitted anew to more parts, is no larger than `most` on any."""
         if len(parts) == len(self.windows):
             return True
         start = candidate.solution.parameters

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of long records on which structures are compared: some evenly spread, the others where a model leaves most.
+"""Parts of long records on which structures are compared: some evenly spread, the others where a model's error is largest.
 
 A sweep passes each mode in a few rows, so no fixed choice of parts sees all modes of a long one.
 """
@@ -17,7 +17,7 @@ from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.stream.row_store import blocks
 
 SEARCH_ROWS = 40_000  # Rows on which structures are compared
-EVEN, WORST = 2, 2  # Parts of a longer record: evenly spread, and where a model leaves most
+EVEN, WORST = 2, 2  # Parts of a longer record: evenly spread, and where a model's error is largest
 CANDIDATES = 100  # Parts of a record of which the worst are taken
 LEAST_ROWS = 64  # Of a part
 
