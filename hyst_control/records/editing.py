@@ -97,13 +97,12 @@ class EditableRecord(Record):
 
         if not abs(ppm) <= MAX_PPM:
             raise InputError(f"ppm (--clock): must be from {-MAX_PPM:g} to {MAX_PPM:g} parts per million, got {ppm!r}")
-        kept = max(len(self.signal(topic).values) for topic in self.signals)
-        kept = min(kept, int((kept - 1) * (1.0 + 1e-6 * ppm)) + 1)
 
         def changed(topic: str, values: Array) -> Array:
-            answers = topic in MEASUREMENT
-            found = np.column_stack([at_rate(column, 1e-6 * ppm) for column in values.T]) if answers else values
-            return np.asarray(found[:kept])
+            measured = int((len(values) - 1) * (1.0 + 1e-6 * ppm)) + 1  # rows up to the measurement's end
+            if topic in MEASUREMENT:
+                values = np.column_stack([at_rate(column, 1e-6 * ppm) for column in values.T])
+            return values[:measured]
 
         return self._changed(self.signals, changed)._noted(f"measurement brought to the command's clock ({ppm:g} ppm)")
 

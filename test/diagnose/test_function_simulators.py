@@ -103,6 +103,19 @@ def test_a_coarse_grid_is_named_unless_the_simulator_has_it(simulate, names):
     assert [effect["name"] for effect in gap.document["effects"]] == names
 
 
+@pytest.mark.parametrize("ppm", [4000.0, -500.0])
+def test_two_clocks_are_named_with_their_difference(ppm):
+    """The machine runs in twenty times as many steps, and its recorder reads it at its own rate."""
+    command = staircase(2, 2000)
+    exact = spring(np.repeat(command, FINE), 1 / RATE / FINE, **TRUTH)
+    rows = np.arange(len(command)) * (1.0 + 1e-6 * ppm)
+    rows = rows[rows < len(command) - 1]
+    measurement = np.interp(rows * FINE, np.arange(len(exact)), exact) + noise(len(rows))
+    gap = diagnosed(command[: len(rows)], measurement)
+    assert gap.document["reasons"] == ["invalid_record", "clock_difference"] and not gap.document["effects"]
+    assert gap.document["invalid_records"][0]["value"] == pytest.approx(ppm, abs=15.0)
+
+
 def test_a_function_that_rounds_beside_a_machine_that_does_not_is_refused():
     command = staircase(2)
     with pytest.raises(InputError, match="rounded: returns multiples of 0.5 um, between which the record has values"):

@@ -70,7 +70,7 @@ def test_the_report_has_the_gap_of_the_record(sound):
 
 @pytest.mark.parametrize("ppm", [300.0, -2000.0])
 def test_two_clocks_are_the_reason_and_not_an_effect(sound, ppm):
-    """The remedy that is told has the difference: with it the record is sound."""
+    """The remedy names the difference: with it the record is sound."""
     model, command, _ = sound
     exact = simulate(model, command)[:, 0]  # so smooth between its ticks that any interpolation is the machine's motion
     ticks = np.arange(len(command)) * (1.0 + 1e-6 * ppm)

@@ -132,7 +132,7 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
     told = sentence(report | {"unexplained_share": 0.01, "reasons": ["at_bound"]})
     assert "would, with a size at the end of its range" in told and "leaves" not in told
     told = sentence(report | {"reasons": ["distortion_level"]})
-    assert "stands on one level" in told and "gain drift" not in told
+    assert "stays on one level" in told and "gain drift" not in told
     both = sentence(report | {"reasons": ["energy_left", "too_many_effects"]})
     assert "leaves 50 % of it" in both and "at once" not in both
     assert sentence(report | {"effects": []}).endswith("noise floor 0.1 um).")

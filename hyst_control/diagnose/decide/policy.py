@@ -6,7 +6,7 @@
 than the practical size; claims become probabilities by their scores. The verdict is the first of these whose rule holds:
 
     unknown      the best explanation leaves too much, needs too many effects, one at the end of its range, the measurement stays
-                 on one value, or beside effects much is left, or taken up by coefficients far away
+                 on one value, or much of the gap is unexplained beside effects, or explained by coefficients far away
     ambiguous    the data cannot separate several explanations
     effect       one explanation by effects, or where coefficients are none what a check of the record found
     parameters   the coefficients explain it, further off than their tolerance, or within it where that moves the simulation far

@@ -254,7 +254,7 @@ def _nearest(report: dict[str, Any], names: Sequence[str]) -> str:
     reasons, together = report.get("reasons", ()), " and ".join(names)
     if Reason.ENERGY_LEFT.value not in reasons:
         if Reason.DISTORTION_LEVEL.value in reasons:  # of the record itself, whatever is named
-            return "; the measurement stands on one level while the command moves on"
+            return "; the measurement stays on one level while the command moves on"
         if names and _strain(report) > FAR_OFF and Reason.UNEXPLAINED_SHARE.value in reasons:
             return f"; {together} would, but only with coefficients {_strain(report):.0f} σ from the model's"
         if names and Reason.AT_BOUND.value in reasons:

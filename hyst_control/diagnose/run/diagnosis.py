@@ -369,7 +369,7 @@ def _without_roughness(problem: Problem, configuration: Configuration) -> Proble
 def _outlier_notes(part: AxisDiagnosis) -> list[str]:
     model, rows = part.problem.model, part.evidence.rows
     return [
-        f"{model.axes[axis]}: in {part.evidence.record[axis].stuck} stretches the measurement stands on one and the same value while the "
+        f"{model.axes[axis]}: in {part.evidence.record[axis].stuck} stretches the measurement stays on one and the same value while the "
         "command moves: a dead band of the sensor, or the end of its range"
         for axis in part.decision.stands
     ] + [
