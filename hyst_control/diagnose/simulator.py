@@ -64,7 +64,9 @@ def simulator_model(simulate: Simulate, parameters: Mapping[str, Sequence[Any]],
     )
     smooth = replace(model, chain=Chain((stage.held(command, sample_time),)), hold="foh")
     is_smooth = record.hold == "foh" if record.states_hold else _fits_alone(smooth, model, deviations, part)
-    return smooth if is_smooth else model
+    found = smooth if is_smooth else model
+    _check_unit(found, record)
+    return found
 
 
 def _fits_alone(one: Model, other: Model, deviations: Sequence[float], part: Record) -> bool:
@@ -127,12 +129,10 @@ def of_function(model: Model | None, record: Record) -> Record:
 
 
 def simulator_notes(model: Model | None, records: Sequence[Record]) -> list[str]:
-    """List notes on a function: finer steps that it refuses, and a hold that was found; refuse one of another unit."""
+    """List notes on a function: finer steps that it refuses, and a hold that was found."""
     stage = function_of(model)
     if model is None or stage is None:
         return []
-    if said := other_unit(model, records[0]):
-        raise InputError(f"simulator {title_of(stage.simulate)}: {said}: return the unit of the record")
     found = [finer_note(stage.differs)]
     if model.hold == "foh" and not records[0].states_hold:
         found.append("a command that is smooth between samples leaves noise alone, a held one more: taken as smooth (hold foh)")
@@ -150,24 +150,26 @@ def finer_note(differs: float) -> str:
     )
 
 
-def other_unit(model: Model, record: Record) -> str:
-    """Phrase on a measurement that is the simulation times a factor between units; "" where there is none."""
+def _check_unit(model: Model, record: Record) -> None:
+    """Refuse a function of which the measurement is a multiple by a factor between units."""
     parts = record.aligned(allow_gaps=True)
     try:
         pairs = [(simulated(model, part.command), part.measurement) for part in parts]
     except InputError:
-        return ""
+        return  # the diagnosis says what fails
     expected, measured = (np.concatenate([rows - rows.mean(axis=0) for rows in each]) for each in zip(*pairs, strict=True))
     product = float(np.sum(expected * measured))
     norms = float(np.linalg.norm(expected) * np.linalg.norm(measured))
     if not product > CORRELATED * norms > 0.0:
-        return ""
+        return
     gain = product / float(np.sum(expected**2))
     for factor, (one, other) in UNIT_FACTORS.items():
         for ratio, text in ((factor, f"{one} beside {other}"), (1.0 / factor, f"{other} beside {one}")):
             if abs(gain / ratio - 1.0) < NEARLY:
-                return f"the measurement is {gain:.4g} times the simulation, as {text} would be"
-    return ""
+                raise InputError(
+                    f"simulator {model.name}: the measurement is {gain:.4g} times the simulation, as {text} would be: return the unit "
+                    "of the record"
+                )
 
 
 def _check_repeatable(stage: ExternalSimulator, command: Array, sample_time: float) -> None:
