@@ -101,7 +101,7 @@ def fit_text(report: Report) -> str:
         rms = row["rmse"] * row["nrmse_own_zero"] / (row["nrmse"] or 1.0)
         lines.append(
             f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse_own_zero']:.3f} % of range, RMSE {rms:.4g} {row['unit']} over "
-            f"{row['samples']} samples, without the session's offset {row['zero']:.4g} {row['unit']} and drift {row['drift']:.4g} "
+            f"{row['samples']} samples, without the session's offset {row['zero']:.4g} {row['unit']} and drift {2.0 * row['drift']:.4g} "
             f"{row['unit']} over the record; NME {row['nme']:.3f} % of range with them"
         )
     lines += [

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +14,8 @@ from scipy import signal
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.memoryless import Gain
-from hyst_control.identify import identify
+from hyst_control.identify import Fit, identify
+from hyst_control.identify.modal import linear
 from hyst_control.identify.modal.linear import Linear
 from hyst_control.identify.modal.linear_options import LinearOptions
 from hyst_control.identify.modal.linear_search import search
@@ -257,6 +260,20 @@ def test_a_stage_with_hysteresis_that_begins_at_rest(seed):
     ringing = np.column_stack([answer(command, 1e-3, mode(1.0, 80.0, 0.05)), np.ones(len(command))])
     best = ringing @ np.linalg.lstsq(ringing, data.measurement, rcond=None)[0]
     assert np.std(data.measurement - simulated) < np.std(data.measurement - best)
+
+
+@pytest.mark.parametrize("free, kept", [(0.5, "amid"), (2.0, "rest")])
+def test_free_initial_states_are_taken_where_they_leave_less_in_the_end(free, kept, monkeypatch):
+    """A hysteresis resembles a motion from before the record, by which a fit may be led astray."""
+    data, _ = record(stairs(10, 20), stairs(10, 20)[:, None], 1e-3)
+    names = {True: "rest", False: "amid"}
+
+    def fitted(records, options, *, still):
+        size = 1.0 if still else free
+        return Fit(None, {"name": names[still]}, (size * np.random.default_rng(0).normal(size=(200, 1)),)), still
+
+    monkeypatch.setattr(linear, "_fitted", fitted)
+    assert Linear().fit([replace(data, start="settled")], LinearOptions()).report["name"] == kept
 
 
 def test_modes_that_few_poles_do_not_show():

@@ -11,9 +11,10 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.records.record import Record
-from hyst_control.records.stream.row_store import blocks
+from hyst_control.records.session_zero import basis, without_zero
+from hyst_control.records.stream.row_store import blocks, empty_rows
 
-LEAST = 0.1  # Share of a measurement's power, about one zero a record, that a model explains if it explains anything
+LEAST = 0.1  # Share of a measurement's power, about one zero and drift a record, that a model explains if it explains anything
 AS_GOOD = 0.999  # Share from which a model is not held against a gain: both are then within the noise of small records
 WORSE = 1.25  # Ratio of the unexplained powers of a model and a gain from which the model explains less
 
@@ -23,7 +24,7 @@ NOTHING, INVALID = "explains_nothing", "invalid_record"
 
 
 class ExplainedRow(TypedDict):
-    """Shares of an axis' measured power, about one zero a record, that the model's simulation explains, and a constant and a gain."""
+    """Shares of an axis' measured power that the model's simulation explains, and a gain, each with a zero and a drift a record."""
 
     axis: str
     model: float
@@ -31,19 +32,25 @@ class ExplainedRow(TypedDict):
 
 
 def explained_shares(records: Sequence[Record], errors: Sequence[Array]) -> list[ExplainedRow]:
-    """Shares that a model explains of each axis that moves."""
-    sums = np.zeros((4, len(records[0].axes)))  # of command², command · measurement, measurement², error²
+    """Shares that a model explains of each axis that moves; what its errors show as drift of the session counts for neither side."""
+    sums = np.zeros(
+        (5, len(records[0].axes))
+    )  # of measurement², error², command², command · measurement, measurement beside a drift²
     for data, error in zip(records, errors, strict=True):
         first = len(data.command) - len(error)
-        command, measured = data.command[first:], data.measurement[first:]
-        means = [np.mean(values, axis=0) for values in (command, measured, error)]
+        left, session = without_zero(error)
+        command, drift = without_zero(data.command[first:])[0], session.T
+        measured = empty_rows(*error.shape)
         for part in blocks(len(error)):
-            u, y, e = (values[part] - mean for values, mean in zip((command, measured, error), means, strict=True))
-            sums += [np.sum(u * u, axis=0), np.sum(u * y, axis=0), np.sum(y * y, axis=0), np.sum(e * e, axis=0)]
+            measured[part] = data.measurement[first:][part] - basis(part, len(error)) @ drift
+        mean, (beside, _) = np.mean(measured, axis=0), without_zero(measured)
+        for part in blocks(len(error)):
+            y, e, u, b = measured[part] - mean, left[part], command[part], beside[part]
+            sums += [np.sum(own, axis=0) for own in (y * y, e * e, u * u, u * b, b * b)]
     rows: list[ExplainedRow] = []
-    for axis, (uu, uy, yy, ee) in zip(records[0].axes, sums.T, strict=True):
+    for axis, (yy, ee, uu, ub, bb) in zip(records[0].axes, sums.T, strict=True):
         if uu > 0 and yy > 0:
-            rows.append({"axis": axis, "model": float(1.0 - ee / yy), "gain": float(uy**2 / (uu * yy))})
+            rows.append({"axis": axis, "model": float(1.0 - ee / yy), "gain": float(1.0 - (bb - ub**2 / uu) / yy)})
     return rows
 
 

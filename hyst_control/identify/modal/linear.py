@@ -24,6 +24,7 @@ from hyst_control.identify.modal.linear_candidate import Candidate
 from hyst_control.identify.modal.linear_options import LinearOptions
 from hyst_control.identify.modal.linear_search import search
 from hyst_control.records.record import Record
+from hyst_control.records.session_zero import without_zero
 
 UNSURE = 0.1  # Relative standard deviation of the static gain from which a note says it
 
@@ -45,21 +46,35 @@ class Linear(Estimator[LinearOptions]):
 
     def fit(self, records: Sequence[Record], options: LinearOptions) -> Fit:
         first = checked(records)
-        axes = len(first.axes)
-        if axes > 1 and options.coupled is not False:
+        if len(first.axes) > 1 and options.coupled is not False:
             return coupled_linear.fit(records, options)
-        fits: list[AxisFit] = []
-        table: list[OrderRow] = []
-        states = 0
-        for axis, name in enumerate(first.axes):
-            windows = [as_window(data, axis, number) for number, data in enumerate(records)]
-            still = all(data.start == "settled" for data in records)
-            candidate, rows = search(windows, options, still=still)
-            fits.append(_axis_fit(candidate, name, first.unit, f"[{name}]" if axes > 1 else ""))
-            table += [{**row, "axis": name} if axes > 1 else row for row in rows]
-            states += candidate.sections.order
-        more = {"orders": table, "states": states}
-        return fit_of(records, fits, self.name, options.method, offset=0.0, by_axis=True, more=more)
+        still = all(data.start == "settled" for data in records)
+        found, moving = _fitted(records, options, still=still)
+        # A hysteresis that a linear model lacks resembles such a motion: what is left in the end decides.
+        return min(found, _fitted(records, options, still=False)[0], key=_left) if moving else found
+
+
+def _fitted(records: Sequence[Record], options: LinearOptions, *, still: bool) -> tuple[Fit, bool]:
+    """Every axis fitted by itself, and whether records may begin amid a motion that were taken to begin at rest (`still`)."""
+    first = records[0]
+    axes = len(first.axes)
+    fits: list[AxisFit] = []
+    table: list[OrderRow] = []
+    states, moving = 0, False
+    for axis, name in enumerate(first.axes):
+        windows = [as_window(data, axis, number) for number, data in enumerate(records)]
+        candidate, rows = search(windows, options, still=still)
+        fits.append(_axis_fit(candidate, name, first.unit, f"[{name}]" if axes > 1 else ""))
+        table += [{**row, "axis": name} if axes > 1 else row for row in rows]
+        states += candidate.sections.order
+        moving |= candidate.moving
+    more = {"orders": table, "states": states}
+    return fit_of(records, fits, Linear.name, options.method, offset=0.0, by_axis=True, more=more), moving
+
+
+def _left(found: Fit) -> float:
+    """Energy that a fit leaves of its records, each without its session's zero and drift."""
+    return sum(float(np.sum(without_zero(error)[0] ** 2)) for error in found.residuals)
 
 
 def _axis_fit(candidate: Candidate, axis: str, unit: str, suffix: str) -> AxisFit:

@@ -36,12 +36,13 @@ WHOLE_ROWS = 2**22  # Rows of a record to which the chosen structure is fitted, 
 STALE, FALLEN = 2, 2.25
 """Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
 HIDDEN = 0.1  # Share of the least square error under which many poles show that growing has not ended
-TWO_MODES = 4
-"""Order up to which growing goes on: while one of two modes is missing, states without it may gain nothing."""
+TWO_MODES, ALONE = 4, 6
+"""Order up to which growing goes on: while one of two modes is missing, states without it may gain nothing. Order from which the best
+variant grows alone, the others being fitted at the order chosen: every one of them takes as long."""
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
 """Delays (samples) with which a search begins."""
 PASSES = 12  # Of a fit while structures are compared
-MOVING = 2.0  # Ratio of the square errors without and with free initial states, from which a record does not begin at rest
+MOVING = 2.0  # Ratio of the square errors without and with free initial states, from which a record may not begin at rest
 MISSED = 1.5  # Ratio of square errors from which a structure is fitted again, from the poles of the best one of its order
 EXACT = 1e-6  # Share of the range that no larger model needs to explain: records without noise leave rounding
 SILENT = 1e-7  # Share of the power under which a record holds nothing between the lines of its command
@@ -136,6 +137,11 @@ class Trials:
         found = replace(candidate, solution=_fit(parts, candidate.sections, start, self.nuisance, PASSES))
         return max(self.left(found, part) for part in parts) <= most
 
+    def moves(self, candidate: Candidate) -> bool:
+        """True where free initial states, fitted along, leave far less than a beginning at rest."""
+        free = _fit(self.windows, candidate.sections, candidate.solution.parameters, self.nuisance, PASSES)
+        return candidate.solution.fitted > MOVING * free.fitted + candidate.exact
+
     def counts(self, candidate: Candidate, smaller: Sequence[Candidate]) -> bool:
         """True where the data tell a structure's poles, and it owes its gain to what the command drives."""
         return not (_beyond_reach(candidate) or (not self.still and self.rings_by_itself(candidate, smaller)))
@@ -167,8 +173,8 @@ class Trials:
 def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = False) -> tuple[Candidate, list[OrderRow]]:
     """Grow the number of states as long as the held-out error falls, and fit the smallest good structure to all rows.
 
-    still: the records begin at rest, according to their hysteresis. Initial states are then zero, unless estimated ones reduce the
-    error far more: otherwise they cancel the motion of a slow pole.
+    still: the records begin at rest, according to their hysteresis. Initial states are then zero: estimated ones cancel the motion of a
+    slow pole. The candidate says whether they would leave far less.
     """
     count = thinning(windows, SEARCH_ROWS)
     slower = [thinned(window, count) for window in windows]
@@ -182,14 +188,13 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     table = [{**row, "delay_samples": [late * count for late in row["delay_samples"]]} for row in table]
     early = trials.windows[0].skip
     whole = [_middle(replace(window, skip=max(window.skip, early * count))) for window in windows]
-    final = _final(whole, chosen, options, still)
-    if final is None:
-        return search(windows, options)
+    final = _final(whole, chosen, options, trials.still)
+    moving = trials.still and trials.moves(chosen)
     missed = chosen.held_out
     if count > 1:  # of all rows, whose noise is larger than that of their means
         start = chosen.solution.parameters
         missed = _fit(whole, chosen.sections, start, options.nuisance, PASSES, unknown_state=not trials.still).held_out
-    return replace(chosen, solution=final, search_error=missed), table
+    return replace(chosen, solution=final, search_error=missed, moving=moving), table
 
 
 def _searched(
@@ -241,7 +246,8 @@ def _grow(trials: Trials, orders: Sequence[int], variants: Sequence[Variant]) ->
     table: list[OrderRow] = []
     tried: list[Candidate] = []
     smaller: dict[Variant, Candidate] = {}
-    stale, reach = 0, 0.0
+    fitted: set[tuple[int, Variant]] = set()
+    every, stale, reach = variants, 0, 0.0
     for order in orders:
         due = [each for each in variants if order >= 2 * each.smooth and (order or each.direct)]
         begins = list(dict.fromkeys((trials.delay_of(each), each.direct) for each in due))
@@ -252,11 +258,14 @@ def _grow(trials: Trials, orders: Sequence[int], variants: Sequence[Variant]) ->
         nearest = min(fresh, key=lambda each: each.solution.fitted)
         fresh = map_known(trials.from_poles_of, [(nearest, each) for each in fresh])
         smaller.update({each.variant: each for each in fresh})
+        fitted |= {(order, each.variant) for each in fresh}
         table += [_row(each, trials.sample_time, trials.windows) for each in fresh]
         if order > max(orders[0], 1):
             fresh = [each for each in fresh if trials.counts(each, tried)]
         least = min(each.held_out for each in smaller.values())
         variants = [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
+        if order >= ALONE:
+            variants = [_best_of([smaller[each] for each in variants if each in smaller]).variant]
         gains = any(_least(fresh, of) * (1.0 + MIN_GAIN) < _least(tried, of) for of in range(2))
         known = min(tried, key=lambda each: each.held_out, default=None)
         stale = 0 if gains or (known and any(each.surely_beats(known) for each in fresh)) else stale + 1
@@ -266,7 +275,13 @@ def _grow(trials: Trials, orders: Sequence[int], variants: Sequence[Variant]) ->
             reach = reach or vector_fit(trials.windows, last, trials.late, False, relocations=4).error
             if max(reach, trials.exact) > HIDDEN * least:
                 break
-    return tried, table
+    best = _best_of(tried)
+    order = best.sections.order
+    others = [each for each in every if (order, each) not in fitted] if order > ALONE else []
+    start = best.sections.partial(best.solution.parameters, trials.sample_time)
+    fresh = map_known(trials.grown, [(order, each, start, None) for each in others])
+    table += [_row(each, trials.sample_time, trials.windows) for each in fresh]
+    return tried + [each for each in fresh if trials.counts(each, tried)], table
 
 
 def _best_of(tried: Sequence[Candidate]) -> Candidate:
@@ -281,20 +296,12 @@ def _best_of(tried: Sequence[Candidate]) -> Candidate:
     )
 
 
-def _final(windows: Sequence[Window], chosen: Candidate, options: LinearOptions, still: bool) -> Solution | None:
-    """Fit to all rows; records count as at rest and without drift unless Schwarz's criterion asks for more.
-
-    still: initial states stay at rest; None where free ones explain far more.
-    """
+def _final(windows: Sequence[Window], chosen: Candidate, options: LinearOptions, still: bool) -> Solution:
+    """Fit to all rows; records count as at rest and without drift unless Schwarz's criterion asks for more."""
     sections, start, steps = chosen.sections, chosen.solution.parameters, options.iterations
-    free = _fit(windows, sections, start, options.nuisance, steps, everything=True)
+    free = _fit(windows, sections, start, options.nuisance, steps, everything=True, unknown_state=not still)
     rest = "offset" if options.nuisance == "linear" else options.nuisance
-    begin = start if still else free.parameters
-    plain = _fit(windows, sections, begin, rest, steps, everything=True, unknown_state=False)
-    if still and plain.fitted > MOVING * free.fitted + chosen.exact:
-        return None
-    if still:
-        free = _fit(windows, sections, begin, options.nuisance, steps, everything=True, unknown_state=False)
+    plain = _fit(windows, sections, free.parameters, rest, steps, everything=True, unknown_state=False)
     rows = sum(len(window.command) for window in windows)
     columns = len(windows) * (sections.order * (not still) + (rest != options.nuisance))
     return plain if plain.fitted < free.fitted * (1.0 + columns * np.log(rows) / rows) + chosen.exact else free
