@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scipy.signal import cont2discrete
+from scipy.signal import cont2discrete, lfilter
 
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.excitation import build
@@ -551,6 +551,27 @@ def test_a_long_record_whose_fastest_rows_follow_their_command_has_no_lead():
     truth = load_plant({"plant": "fsm"}, seed=1, sample_time=step, noise=1e-6)
     measured = np.concatenate([truth.reset(command[0])[None], truth.step(command)[:-1]])
     assert not examined([Trial("minute", command, measured, step, ("x", "y"), unit="mrad")])[0]
+
+
+@pytest.mark.parametrize("early", [0, 6])
+def test_a_lead_that_leaves_next_to_nothing_of_slow_loops_is_told(early):
+    """Of 3 s of slow loops and a small sweep a causal model left 6e-5 of the power at a lead of 0.4 ms, which counted as sound."""
+    random, step = np.random.default_rng(1), 1e-4
+    time = np.arange(30_000) * step
+    swept = np.clip(time - 1.55, 0.0, None)
+    rise = np.log(950 / 15) / 1.45
+    command = np.interp(time, np.linspace(0.02, 1.5, 9), [0, 112, 8, 100, 18, 84, 30, 70, 50])
+    command += 10.0 * np.clip(swept / 0.02, 0, 1) * np.sin(2 * np.pi * 15 * (np.exp(rise * swept) - 1) / rise)
+    bent, thresholds, state = 0.06 * command, 3.0 + 6.0 * np.arange(8), np.zeros(8)
+    for row, value in enumerate(command):
+        state = np.clip(state, value - thresholds, value + thresholds)
+        bent[row] += 0.005 * state.sum()
+    rate = 2 * np.pi * 617.0
+    b, a, _ = cont2discrete(([rate**2], [1.0, 0.054 * rate, rate**2]), step)
+    answer = np.concatenate([np.zeros(2), lfilter(b.ravel(), a, bent)[:-2]]) + 2e-3 * random.standard_normal(len(time))
+    found = examined([Trial("slow", command[: len(time) - early, None], answer[early:, None], step, ("x",), unit="um")])[0]
+    assert [each.name for each in found] == ["early_measurement"] * bool(early)
+    assert not early or found[0].value == pytest.approx(4e-4, abs=1e-4)
 
 
 def test_a_turned_sign_is_no_delay_of_half_a_period():

@@ -14,7 +14,7 @@ from hyst_control.records.validity.facts import interpolated
 from hyst_control.records.validity.findings import Trial
 from hyst_control.records.validity.reference_model import condensed
 
-SOUND = 1e-4  # Share of a measurement's power that a causal model leaves of a record without further checks
+SOUND = 1e-4  # Share of a measurement's power that models of moderate order leave of many sound records
 
 CLEAR, CLEAR_LEAD, CLEAR_EXCHANGE = 2.0, 4.0, 1.5
 """Ratio of the powers that a model leaves of a record, and of the record read backwards, shifted, and exchanged, from which it is that.
