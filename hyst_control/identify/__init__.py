@@ -16,7 +16,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.identify.assess.fit_report import error_rows, residual, residual_from, with_state
 from hyst_control.identify.assess.free_motion import ending_dynamics
 from hyst_control.identify.data.fit import Fit, check_records
-from hyst_control.identify.data.initial_memory import beginning_rows, with_beginning
+from hyst_control.identify.data.initial_memory import beginning_rows, begins_at_rest, with_beginning
 from hyst_control.identify.families.estimator import Estimator, estimator_of, estimators, register
 from hyst_control.identify.families.options import Options, option
 from hyst_control.model_file import Model
@@ -71,7 +71,7 @@ def _fitted_amid_motion(estimator: Estimator[Any], records: Sequence[Record], op
     begun = [with_state(source, data) for data in records]
     if ending_dynamics(source, first.sample_time, first.hold) is None:
         return found
-    if len(first.axes) == 1 and any(data.start != "settled" for data in begun):
+    if len(first.axes) == 1 and not all(map(begins_at_rest, begun)):
         # A linear model, whose fit knows of the motion, is not led astray by it.
         source = identify([data.rows(0, LINEAR_ROWS) for data in records], "linear").model
         begun = [with_state(source, data) for data in records]

@@ -15,6 +15,7 @@ from scipy import signal
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.memoryless import Gain
 from hyst_control.identify import Fit, identify
+from hyst_control.identify.assess.fit_report import MOVING
 from hyst_control.identify.modal import linear
 from hyst_control.identify.modal.linear import Linear
 from hyst_control.identify.modal.linear_options import LinearOptions
@@ -262,15 +263,16 @@ def test_a_stage_with_hysteresis_that_begins_at_rest(seed):
     assert np.std(data.measurement - simulated) < np.std(data.measurement - best)
 
 
-@pytest.mark.parametrize("free, kept", [(0.5, "amid"), (2.0, "rest")])
-def test_free_initial_states_are_taken_where_they_leave_less_in_the_end(free, kept, monkeypatch):
+@pytest.mark.parametrize("seems, free, kept", [(MOVING, 0.5, "amid"), (MOVING, 2.0, "rest"), ("at rest", 0.5, "rest")])
+def test_free_initial_states_are_taken_where_the_record_seems_to_move_and_they_leave_less(seems, free, kept, monkeypatch):
     """A hysteresis resembles a motion from before the record, by which a fit may be led astray."""
     data, _ = record(stairs(10, 20), stairs(10, 20)[:, None], 1e-3)
     names = {True: "rest", False: "amid"}
 
     def fitted(records, options, *, still):
         size = 1.0 if still else free
-        return Fit(None, {"name": names[still]}, (size * np.random.default_rng(0).normal(size=(200, 1)),)), still
+        report = {"name": names[still], "beginnings": [{"assumed": seems}]}
+        return Fit(None, report, (size * np.random.default_rng(0).normal(size=(200, 1)),))
 
     monkeypatch.setattr(linear, "_fitted", fitted)
     assert Linear().fit([replace(data, start="settled")], LinearOptions()).report["name"] == kept

@@ -18,7 +18,7 @@ from hyst_control.identify.assess.free_motion import ROWS as MOTION_ROWS
 from hyst_control.identify.assess.free_motion import without_free_motion
 from hyst_control.identify.data.fit import RecordRow
 from hyst_control.identify.data.fit_windows import before
-from hyst_control.identify.data.initial_memory import DOUBT
+from hyst_control.identify.data.initial_memory import DOUBT, seems_at_rest
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.quantization_step import quantization_step
 from hyst_control.records.record import Beginning, Record
@@ -64,7 +64,12 @@ def residual_from(model: Model, data: Record) -> Array:
 
 
 def with_state(model: Model, data: Record) -> Record:
-    """The record, known to begin at rest at 0 V, from which its first command jumps, or amid a motion, if that fits far better."""
+    """The record, known to begin at rest at 0 V, from which its first command jumps, or amid a motion, if that fits far better.
+
+    A start that the record states is left as it is.
+    """
+    if data.start == "settled":
+        return data
     memory, begin = before(data)
     end = begin + BEGINNING_ROWS
     if begin > BEGINNING_ROWS or not model.chain.stages:
@@ -83,7 +88,7 @@ def with_state(model: Model, data: Record) -> Record:
         with_it, without = (float(np.sum(residual_from(model, replace(longer, start=each)) ** 2)) for each in (start, still))
         return with_it > without
 
-    least, share = left(still), AT_REST_SHARE if data.start == "settled" else OTHER_SHARE
+    least, share = left(still), AT_REST_SHARE if seems_at_rest(data) else OTHER_SHARE
     others = [Beginning(MOVING, memory, begin, moving=True)]
     if np.any(data.command[0]):
         others.insert(0, Beginning(JUMP, np.zeros((1, len(data.axes))), 0))

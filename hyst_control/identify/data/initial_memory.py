@@ -60,7 +60,7 @@ def with_beginning(data: Record) -> Record:
     closed = closed_loop(data)
     memories = [estimated_memory(data.command[:, axis], data.measurement[:, axis], closed=closed) for axis in axes]
     if all(memory.virgin for memory in memories):
-        return replace(data, start="settled")
+        return replace(data, start=Beginning(VIRGIN, None, 0))
     filled = max(memory_filled(data.command[:, axis]) for axis in axes)
     remaining = min(share_of_motion(data.command[:, axis], filled) for axis in axes)
     if remaining < LITTLE and all(memory.periodic for memory in memories):
@@ -86,6 +86,16 @@ def beginning_rows(records: Sequence[Record]) -> list[BeginningRow]:
             known = Beginning(PERIODIC if closed else FILLED, None, 0 if closed else filled)
         rows.append({"name": data.name, "assumed": known.assumed, "first_row": known.row})
     return rows
+
+
+def begins_at_rest(data: Record) -> bool:
+    """True where a record begins at rest at 0 V: its start says so, or its hysteresis does."""
+    return data.start == "settled" or seems_at_rest(data)
+
+
+def seems_at_rest(data: Record) -> bool:
+    """True where the hysteresis of a record tells that it begins at rest; its dynamics may move all the same."""
+    return isinstance(data.start, Beginning) and data.start.assumed == VIRGIN
 
 
 def share_of_motion(command: Annotated[Array, "N"], row: int) -> float:

@@ -16,8 +16,10 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.identify.assess.assembly import AxisFit, fit_of
+from hyst_control.identify.assess.fit_report import MOVING
 from hyst_control.identify.data.fit import Fit, Number, OrderRow, ParameterRow, check_records
 from hyst_control.identify.data.fit_windows import as_window
+from hyst_control.identify.data.initial_memory import begins_at_rest
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.modal import coupled_linear
 from hyst_control.identify.modal.linear_candidate import Candidate
@@ -48,28 +50,29 @@ class Linear(Estimator[LinearOptions]):
         first = checked(records)
         if len(first.axes) > 1 and options.coupled is not False:
             return coupled_linear.fit(records, options)
-        still = all(data.start == "settled" for data in records)
-        found, moving = _fitted(records, options, still=still)
-        # A hysteresis that a linear model lacks resembles such a motion: what is left in the end decides.
-        return min(found, _fitted(records, options, still=False)[0], key=_left) if moving else found
+        still = all(map(begins_at_rest, records))
+        found = _fitted(records, options, still=still)
+        if still and any(row["assumed"] == MOVING for row in found.report["beginnings"]):
+            # A hysteresis that a linear model lacks resembles such a motion: what is left in the end decides.
+            found = min(found, _fitted(records, options, still=False), key=_left)
+        return found
 
 
-def _fitted(records: Sequence[Record], options: LinearOptions, *, still: bool) -> tuple[Fit, bool]:
-    """Every axis fitted by itself, and whether records may begin amid a motion that were taken to begin at rest (`still`)."""
+def _fitted(records: Sequence[Record], options: LinearOptions, *, still: bool) -> Fit:
+    """Every axis fitted by itself; still: the records begin at rest."""
     first = records[0]
     axes = len(first.axes)
     fits: list[AxisFit] = []
     table: list[OrderRow] = []
-    states, moving = 0, False
+    states = 0
     for axis, name in enumerate(first.axes):
         windows = [as_window(data, axis, number) for number, data in enumerate(records)]
         candidate, rows = search(windows, options, still=still)
         fits.append(_axis_fit(candidate, name, first.unit, f"[{name}]" if axes > 1 else ""))
         table += [{**row, "axis": name} if axes > 1 else row for row in rows]
         states += candidate.sections.order
-        moving |= candidate.moving
     more = {"orders": table, "states": states}
-    return fit_of(records, fits, Linear.name, options.method, offset=0.0, by_axis=True, more=more), moving
+    return fit_of(records, fits, Linear.name, options.method, offset=0.0, by_axis=True, more=more)
 
 
 def _left(found: Fit) -> float:

@@ -47,7 +47,6 @@ class Candidate:
     exact: float  # Mean square error from which a fit counts as exact
     equations: float  # Independent equations that the records hold, where these are fewer than their rows
     search_error: float | None = None  # Mean square error on the blocks held out, before the fit to all rows
-    moving: bool = False  # Whether records that were fitted from rest may begin amid a motion
 
     @property
     def held_out(self) -> float:

@@ -42,7 +42,6 @@ variant grows alone, the others being fitted at the order chosen: every one of t
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
 """Delays (samples) with which a search begins."""
 PASSES = 12  # Of a fit while structures are compared
-MOVING = 2.0  # Ratio of the square errors without and with free initial states, from which a record may not begin at rest
 MISSED = 1.5  # Ratio of square errors from which a structure is fitted again, from the poles of the best one of its order
 EXACT = 1e-6  # Share of the range that no larger model needs to explain: records without noise leave rounding
 SILENT = 1e-7  # Share of the power under which a record holds nothing between the lines of its command
@@ -137,11 +136,6 @@ class Trials:
         found = replace(candidate, solution=_fit(parts, candidate.sections, start, self.nuisance, PASSES))
         return max(self.left(found, part) for part in parts) <= most
 
-    def moves(self, candidate: Candidate) -> bool:
-        """True where free initial states, fitted along, leave far less than a beginning at rest."""
-        free = _fit(self.windows, candidate.sections, candidate.solution.parameters, self.nuisance, PASSES)
-        return candidate.solution.fitted > MOVING * free.fitted + candidate.exact
-
     def counts(self, candidate: Candidate, smaller: Sequence[Candidate]) -> bool:
         """True where the data tell a structure's poles, and it owes its gain to what the command drives."""
         return not (_beyond_reach(candidate) or (not self.still and self.rings_by_itself(candidate, smaller)))
@@ -174,7 +168,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     """Grow the number of states as long as the held-out error falls, and fit the smallest good structure to all rows.
 
     still: the records begin at rest, according to their hysteresis. Initial states are then zero: estimated ones cancel the motion of a
-    slow pole. The candidate says whether they would leave far less.
+    slow pole.
     """
     count = thinning(windows, SEARCH_ROWS)
     slower = [thinned(window, count) for window in windows]
@@ -189,12 +183,11 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     early = trials.windows[0].skip
     whole = [_middle(replace(window, skip=max(window.skip, early * count))) for window in windows]
     final = _final(whole, chosen, options, trials.still)
-    moving = trials.still and trials.moves(chosen)
     missed = chosen.held_out
     if count > 1:  # of all rows, whose noise is larger than that of their means
         start = chosen.solution.parameters
         missed = _fit(whole, chosen.sections, start, options.nuisance, PASSES, unknown_state=not trials.still).held_out
-    return replace(chosen, solution=final, search_error=missed, moving=moving), table
+    return replace(chosen, solution=final, search_error=missed), table
 
 
 def _searched(
