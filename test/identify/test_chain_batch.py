@@ -4,10 +4,11 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag, expm
 
 from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung
-from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
+from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, StateSpace, TransferFunction
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.identify.solve.chain_batch import Bundle, Decay
 
@@ -58,6 +59,29 @@ def test_what_chains_share_is_run_once() -> None:
     loops = [node for node in filters if type(node.running).__name__ == "MadelungFilter"]
     assert len(loops) == 2
     assert len(filters) == 2 + 3 + 3
+
+
+def test_free_motions_of_parts_side_by_side_are_those_of_each_by_itself() -> None:
+    """A sum whose parts are shared with its neighbors: each state's motion, and what another frequency changes of a given one."""
+    turn, lag = np.array([[0.0, 300.0], [-300.0, -20.0]]), StateSpace([[-50.0]], [[50.0]], [[2.0]], [[0.0]])
+
+    def mode(factor: float) -> StateSpace:
+        return StateSpace(factor * turn, [[0.0], [300.0]], [[1.0, 0.1]], [[0.0]])
+
+    step, late, state = 1e-3, Delay(1.3e-3), np.array([0.3, -2.0, 0.7])
+    chains = [(Parallel(((late, mode(factor)), (late, lag))),) for factor in (1.0, 1.01, 1.0)]
+    motions = Bundle(chains, Sampling(step, 1, "zoh")).free_motions()
+    rows = [motions.rows(count, state) for count in (30, 700)]
+    free, moved = (np.vstack([part[number] for part in rows]) for number in range(2))
+
+    def alone(factor: float) -> np.ndarray:
+        both = block_diag(factor * turn, [[-50.0]])
+        return np.array([np.array([1.0, 0.1, 2.0]) @ expm(both * step * row) for row in range(1, 731)])
+
+    units = np.linalg.lstsq(alone(1.0)[:3], free[:3], rcond=None)[0]  # the states that a filter runs in are others
+    np.testing.assert_allclose(free, alone(1.0) @ units, atol=1e-12)
+    assert motions.states == 3 and moved.shape == (730, 2) and not moved[:, 1].any()
+    np.testing.assert_allclose(moved[:, 0], (alone(1.01) - alone(1.0)) @ units @ state, atol=1e-11)
 
 
 def test_free_motion_is_that_of_powers_of_the_transition_in_any_units_of_the_states() -> None:

@@ -11,12 +11,10 @@ from functools import partial
 
 import numpy as np
 from scipy.fft import rfft
-from scipy.linalg import block_diag
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import forked, map_known
-from hyst_control.chain.linear.linear_stages import StateSpace
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit import OrderRow
 from hyst_control.identify.data.fit_windows import response_sign
@@ -152,10 +150,9 @@ class Trials:
         fitted, known = _usual_error(candidate.solution.grams), _usual_error(best.solution.grams)
         if known - fitted <= MIN_GAIN * known + candidate.exact:
             return False  # what it gains is in few rows, such as those behind a step
-        *late, driven = best.sections.running(best.solution.parameters)
-        *_, free = candidate.sections.running(candidate.solution.parameters)
-        assert isinstance(driven, StateSpace) and isinstance(free, StateSpace)
-        both = [*late, _beside_undriven(driven, free)]
+        parts = candidate.sections.parts(candidate.solution.parameters)
+        undriven = [replace(part, B=np.zeros_like(part.B), D=np.zeros_like(part.D)) for part in parts]
+        both = best.sections.running(best.solution.parameters, undriven)
         beside = SimulationError(self.windows, Parametrization(lambda _: both), self.nuisance, unknown_state=True).visit(
             np.zeros(0)
         )
@@ -367,13 +364,6 @@ def _usual_error(grams: Grams) -> float:
     """Mean square error of usual rows: a transient at the beginning is in few blocks, and does not count."""
     energies = grams.blocks[:, -1, -1]
     return float(np.median(energies)) * len(energies) / sum(grams.rows)
-
-
-def _beside_undriven(driven: StateSpace, free: StateSpace) -> StateSpace:
-    """Dynamics with those of `free` beside them, whose states the command does not reach."""
-    a, b, c, d = (np.asarray(part, dtype=float) for part in (driven.A, driven.B, driven.C, driven.D))
-    other = np.asarray(free.A, dtype=float)
-    return StateSpace(block_diag(a, other), np.vstack([b, np.zeros((len(other), 1))]), np.hstack([c, np.asarray(free.C)]), d)
 
 
 def _row(candidate: Candidate, sample_time: float, windows: Sequence[Window]) -> OrderRow:

@@ -10,17 +10,30 @@ a jump of velocity (two poles more than zeros): then the h of the fastest sectio
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.chain import Stage
+from hyst_control.chain import Parallel, Stage
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace, TransferFunction
 from hyst_control.identify.modal.vector_fitting import Partial
 
 MIN_DAMPING = 5e-4
 SLOWEST = 0.005  # Rate of the slowest pole, in inverse lengths of the record: within this an integrator answers alike
+
+
+@lru_cache(maxsize=4096)
+def _section(direct: float, *numbers: float) -> StateSpace:
+    """A section from its numerator and the denominator behind the leading 1, in states whose arithmetic loses nothing."""
+    if len(numbers) == 2:
+        num, rate = numbers
+        return StateSpace([[-rate]], [[rate]], [[num / rate]], [[direct]])
+    slope, num, damping, square = numbers
+    w = float(np.sqrt(square))
+    return StateSpace([[0.0, w], [-w, -damping]], [[0.0], [w]], [[num / square, slope / w]], [[direct]])
 
 
 @dataclass(frozen=True)
@@ -146,21 +159,17 @@ class Sections:
             found.append((self.gain * np.array([lag[1] * rate]), np.array([1.0, rate])))
         return found
 
-    def running(self, vector: Array) -> list[Stage]:
-        """Chain of the dynamics as a sum of sections, whose arithmetic loses nothing."""
-        terms = self.terms(vector)
-        n = max(self.order, 1)  # a gain alone has one state, neither driven nor observed
-        a, b, c, at = -np.eye(n) * self.slowest, np.zeros((n, 1)), np.zeros((1, n)), 0
-        for num, den in terms:
-            if len(den) == 3:
-                w = np.sqrt(den[2])
-                a[at : at + 2, at : at + 2] = [[0.0, w], [-w, -den[1]]]
-                b[at + 1, 0] = w
-                c[0, at : at + 2] = [num[1] / den[2], num[0] / w]
-            else:
-                a[at, at], b[at, 0], c[0, at] = -den[1], den[1], num[0] / den[1]
-            at += len(den) - 1
-        return [*self._delay(vector), StateSpace(a, b, c, np.array([[self.direct_gain(vector)]]))]
+    def parts(self, vector: Array) -> list[StateSpace]:
+        """The sections, the first one with the direct path."""
+        terms, direct = self.terms(vector), self.direct_gain(vector)
+        if not terms:  # a gain alone has one state, neither driven nor observed
+            return [StateSpace([[-self.slowest]], [[0.0]], [[0.0]], [[direct]])]
+        return [_section(0.0 if i else direct, *map(float, num), *map(float, den[1:])) for i, (num, den) in enumerate(terms)]
+
+    def running(self, vector: Array, beside: Sequence[StateSpace] = ()) -> list[Stage]:
+        """Chain of the dynamics as parts side by side: those of neighboring parameters share all but one; beside: further parts."""
+        late, parts = self._delay(vector), [*self.parts(vector), *beside]
+        return [Parallel(tuple((*late, part) for part in parts))] if len(parts) > 1 else [*late, *parts]
 
     def stages(self, vector: Array) -> list[Stage]:
         """Chain of the dynamics as a model file states it: the delay, then one `transfer_function`."""

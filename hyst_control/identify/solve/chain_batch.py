@@ -8,7 +8,7 @@ share their output, and so do equal branches of parallel stages. What is linear 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from itertools import groupby
@@ -81,12 +81,21 @@ class Bundle:
     @property
     def states(self) -> int:
         """Number of states of the dynamics that end the first chain; 0 where it ends otherwise."""
-        return self.decays()[0].states
+        return self.free_motions().states
 
-    def decays(self) -> list[Decay]:
-        """The free motion of the dynamics that end each chain."""
-        ends = [self.nodes[number].running if number != SOURCE else None for number in self.outputs]
-        return [Decay(end.a[0], end.c[0, 0]) if single(end) else Decay(np.zeros((0, 0)), np.zeros(0)) for end in ends]
+    def free_motions(self) -> FreeMotions:
+        """The free motions of the dynamics that end the chains, filters or sums of filters."""
+        chains = [self._parts(number) for number in self.outputs]
+        running = {number: self.nodes[number].running for number in {part for parts in chains for part in parts}}
+        return FreeMotions({number: Decay(each.a[0], each.c[0, 0]) for number, each in running.items() if single(each)}, chains)
+
+    def _parts(self, number: int) -> tuple[int, ...]:
+        """Filters whose sum a chain ends with; none where it ends otherwise."""
+        if number == SOURCE:
+            return ()
+        node = self.nodes[number]
+        parts = (number,) if node.running else node.before
+        return parts if all(part != SOURCE and single(self.nodes[part].running) for part in parts) else ()
 
     def _run(self, numbers: Sequence[int]) -> LinearLanes | Filter | None:
         """Filter of a step's nodes: linear nodes run side by side, any other node by itself."""
@@ -161,10 +170,39 @@ class Decay:
             np.matmul(found[known - step : known - step + more], power, out=found[known : known + more])
             known += more
             power = power @ power if step < TOGETHER else power
-        self._largest = np.maximum(self._largest, np.abs(found).max(axis=0))
+        self._largest = np.maximum(self._largest, np.abs(found[:TOGETHER]).max(axis=0))  # a motion is largest at first
         alive = np.any(np.abs(found[-1]) > NEGLIGIBLE * self._largest)
         self._row = found[-1] if alive else np.zeros(self.states)
         return found
+
+
+class FreeMotions:
+    """Free motions of the dynamics that end chains side by side, state by state; those of parts that chains share are computed once."""
+
+    def __init__(self, decays: Mapping[int, Decay], chains: Sequence[Sequence[int]]) -> None:
+        # decays: of every part; chains: parts of each chain, the nominal one first
+        self._decays, self._nominal, self._others = decays, chains[0], chains[1:]
+        parts = [decays[number] for number in self._nominal]
+        self.first = np.concatenate([np.zeros(0), *(part.first for part in parts)])
+        self.states = len(self.first)
+
+    @property
+    def is_over(self) -> bool:
+        """True where nothing is left of the nominal chain's motions."""
+        return all(self._decays[number].is_over for number in self._nominal)
+
+    def rows(self, count: int, state: Array) -> tuple[Array, Array]:
+        """The next `count` rows of the nominal chain (count, n), and by how much those of others differ from an initial state (n,)."""
+        rows = {number: decay.rows(count) for number, decay in self._decays.items()}
+        moved = np.zeros((count, len(self._others) if len(state) else 0), order="F")
+        for column, parts in zip(moved.T, self._others, strict=False):
+            at = 0
+            for number, part in zip(self._nominal, parts, strict=True):
+                own = state[at : at + self._decays[number].states]
+                if part != number:
+                    column += (rows[part] - rows[number]) @ own
+                at += len(own)
+        return np.column_stack([rows[number] for number in self._nominal]), moved
 
 
 def alike(nodes: Sequence[Node]) -> list[list[int]]:

@@ -232,7 +232,7 @@ class SimulationError:
         signal, first = driving_signal(window)
         running.settle(float(signal[0, 0]))
         n, size, extra = len(window.command), place.size, place.extra
-        decays = running.decays() if self.unknown_state else []
+        motions = running.free_motions() if self.unknown_state else None
         begin = max(first - CHUNK, 0)  # few turning points pass together with the rows behind them
         for earlier in row_blocks(begin):
             running.process(signal[earlier])
@@ -244,14 +244,13 @@ class SimulationError:
             for i, neighbour in enumerate(neighbours):
                 # Large rests are subtracted first: their difference alone is that of a constant.
                 np.subtract(neighbour - place.rest[i + 1], nominal - place.rest[0], out=rows[:, i])
-            if decays:
-                own = slice(size + extra + place.begin, size + extra + place.begin + decays[0].states)
-                rows[:, own] = -decays[0].first * place.takes_constants
-                if not decays[0].is_over:
-                    free, *nearby = (decay.rows(stop - chunk) for decay in decays)
+            if motions is not None and motions.states:
+                own = slice(size + extra + place.begin, size + extra + place.begin + motions.states)
+                rows[:, own] = -motions.first * place.takes_constants
+                if not motions.is_over:
+                    free, moved = motions.rows(stop - chunk, place.state)
                     rows[:, own] += free
-                    if len(place.state):
-                        rows[:, :size] += np.column_stack([(each - free) @ place.state for each in nearby])
+                    rows[:, : moved.shape[1]] += moved
             rows[:, :size] /= STEP
             share = window.begin + window.share * np.arange(chunk, stop) / n
             for power in range(extra):
