@@ -11,12 +11,14 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.records.record import Record
-from hyst_control.records.session_zero import basis, without_zero
-from hyst_control.records.stream.row_store import blocks, empty_rows
+from hyst_control.records.session_zero import basis
+from hyst_control.records.stream.row_store import blocks
 
 LEAST = 0.1  # Share of a measurement's power, about one zero and drift a record, that a model explains if it explains anything
 AS_GOOD = 0.999  # Share from which a model is not held against a gain: both are then within the noise of small records
 WORSE = 1.25  # Ratio of the unexplained powers of a model and a gain from which the model explains less
+
+ROUNDING = 1e-12  # Share of a command's power that is rounding
 
 EXPLAINS, POORLY, DISAGREE = "explains", "explains_poorly", "records_disagree"
 NOTHING, INVALID = "explains_nothing", "invalid_record"
@@ -33,25 +35,32 @@ class ExplainedRow(TypedDict):
 
 def explained_shares(records: Sequence[Record], errors: Sequence[Array]) -> list[ExplainedRow]:
     """Shares that a model explains of each axis that moves; what its errors show as drift of the session counts for neither side."""
-    sums = np.zeros(
-        (5, len(records[0].axes))
-    )  # of measurement², error², command², command · measurement, measurement beside a drift²
-    for data, error in zip(records, errors, strict=True):
-        first = len(data.command) - len(error)
-        left, session = without_zero(error)
-        command, drift = without_zero(data.command[first:])[0], session.T
-        measured = empty_rows(*error.shape)
-        for part in blocks(len(error)):
-            measured[part] = data.measurement[first:][part] - basis(part, len(error)) @ drift
-        mean, (beside, _) = np.mean(measured, axis=0), without_zero(measured)
-        for part in blocks(len(error)):
-            y, e, u, b = measured[part] - mean, left[part], command[part], beside[part]
-            sums += [np.sum(own, axis=0) for own in (y * y, e * e, u * u, u * b, b * b)]
+    powers = sum(
+        np.array([_powers(data, error, axis) for axis in range(len(data.axes))])
+        for data, error in zip(records, errors, strict=True)
+    )
     rows: list[ExplainedRow] = []
-    for axis, (yy, ee, uu, ub, bb) in zip(records[0].axes, sums.T, strict=True):
-        if uu > 0 and yy > 0:
-            rows.append({"axis": axis, "model": float(1.0 - ee / yy), "gain": float(1.0 - (bb - ub**2 / uu) / yy)})
+    for axis, (moved, whole, error, command, product, measured) in zip(records[0].axes, np.asarray(powers), strict=True):
+        if moved > 0 and whole > 0:
+            by_gain = product**2 / command if command > ROUNDING * moved else 0.0  # a command may itself be a parabola
+            rows.append({"axis": axis, "model": float(1.0 - error / whole), "gain": float(1.0 - (measured - by_gain) / whole)})
     return rows
+
+
+def _powers(data: Record, error: Array, axis: int) -> tuple[float, float, float, float, float, float]:
+    """Sums of an axis' command² from the first row on, of measurement² without drift, and four beside the session's parabola."""
+    # The four are error², command², command · measurement and measurement².
+    count, first, gram = len(error), len(data.command) - len(error), np.zeros((6, 6))
+    for part in blocks(count):
+        own = slice(first + part.start, first + part.stop)
+        command, measured = (signal[own, axis] - signal[first, axis] for signal in (data.command, data.measurement))
+        rows = np.column_stack([command, measured, error[part, axis], basis(part, count)])
+        gram += rows.T @ rows
+    session = np.linalg.lstsq(gram[3:, 3:], gram[3:, :3], rcond=None)[0]
+    beside = gram[:3, :3] - gram[:3, 3:] @ session
+    settled = np.concatenate([[0.0, 1.0, 0.0], -session[:, 2]])  # the measurement without the error's drift
+    whole = settled @ gram @ settled - (settled @ gram[:, 3]) ** 2 / count
+    return float(gram[0, 0]), float(whole), float(beside[2, 2]), float(beside[0, 0]), float(beside[0, 1]), float(beside[1, 1])
 
 
 def useless(rows: Sequence[ExplainedRow]) -> list[ExplainedRow]:

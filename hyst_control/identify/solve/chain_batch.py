@@ -194,8 +194,9 @@ class FreeMotions:
     def rows(self, count: int, state: Array) -> tuple[Array, Array]:
         """The next `count` rows of the nominal chain (count, n), and by how much those of others differ from an initial state (n,)."""
         rows = {number: decay.rows(count) for number, decay in self._decays.items()}
-        moved = np.zeros((count, len(self._others) if len(state) else 0), order="F")
-        for column, parts in zip(moved.T, self._others, strict=False):
+        others = self._others if len(state) else []
+        moved = np.zeros((count, len(others)), order="F")
+        for column, parts in zip(moved.T, others, strict=True):
             at = 0
             for number, part in zip(self._nominal, parts, strict=True):
                 own = state[at : at + self._decays[number].states]

@@ -47,7 +47,7 @@ FAR_LESS = 0.05  # Ratio of what an arrangement of few sines leaves to what it l
 SWITCHED = 8
 """Levels up to which a command is switched, such as a binary sequence: no sensor has so few, and play operators cut the noise off them."""
 
-SURE = 1e-6  # Share of a measurement's power that a causal model leaves of a record that is looked at no further: in 1e-4 a lead may hide
+EXACT = 1e-6  # Share of a measurement's power that a causal model leaves of a record that is looked at no further: in 1e-4 a lead may hide
 
 FITS = 0.03  # Share of a measurement's power that a model of the record read backwards or exchanged leaves at most
 
@@ -63,7 +63,7 @@ def direction_findings(trial: Trial, left: CondensedRows, index: int) -> list[Fi
     # A lead of a few samples shows where the command is fastest, in rows that nothing was averaged to.
     fast = left if left.together == 1 else left.fastest(trial)
     quick = ahead if fast is left else reference(fast.inputs(index), fast.measurement[:, index])
-    if all(each.unexplained < SURE and each.without_command > HALF for each in (ahead, quick)):
+    if all(each.unexplained < EXACT and each.without_command > HALF for each in (ahead, quick)):
         return []
     notes: list[Finding] = []
     whole = held_samples(trial.command[:, index]) == 1
@@ -75,7 +75,7 @@ def direction_findings(trial: Trial, left: CondensedRows, index: int) -> list[Fi
             found = _alternative(trial, left, index, ahead)[1]
             return found if any(each.name == "swapped_signals" for each in found) else shifts
         delayed, own, lead, shifts = time_shifts(trial, left, index, ahead)
-        if fast is not left and quick.unexplained < SURE:
+        if fast is not left and quick.unexplained < SOUND:
             # The rows that show a lead best follow their command: of averaged rows a model of few states is not that exact.
             shifts = [each for each in shifts if each.name == "late_measurement"]
         if ahead.without_command > HALF:  # what drifts needs no command, whatever its delay
