@@ -179,7 +179,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     table = [{**row, "delay_samples": [late * count for late in row["delay_samples"]]} for row in table]
     early = trials.windows[0].skip
     whole = [_middle(replace(window, skip=max(window.skip, early * count))) for window in windows]
-    final = _final(whole, chosen, options, trials.still)
+    final = _final(whole, chosen, options, still)
     missed = chosen.held_out
     if count > 1:  # of all rows, whose noise is larger than that of their means
         start = chosen.solution.parameters
