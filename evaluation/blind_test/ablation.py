@@ -60,6 +60,7 @@ RULES: dict[str, Rule] = {
     "vibration_found": (policy, "vibration_found", lambda *_: None),
     "flicker_found": (policy, "flicker_found", lambda *_: None),
     "too_many": (novelty, "_too_many", lambda *_: False),
+    "_is_own_error": (record_findings, "_is_own_error", lambda *_: False),
 }
 """Rules of the policy that are more than a threshold."""
 

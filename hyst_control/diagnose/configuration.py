@@ -40,6 +40,8 @@ class Thresholds:
     run_to_run: float = 4.0
     own_error_share: float = 0.5  # Share of the model discrepancy that is stated which an effect must remove
     own_error_energy: float = 1.5  # noise energies: stated energy from which a model is taken to state an error of its own
+    # share of the model discrepancy's energy: least excess noise that is named beside an error whose spectrum is unknown
+    noise_own_share: float = 0.01
     # standard deviations: chi-square of the coefficients above its mean from which they are strained
     strain_deviations: float = 4.0
     many_tolerances: float = 5.0  # tolerances: distance of a coefficient from which a known effect that does the same is named

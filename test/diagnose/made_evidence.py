@@ -32,6 +32,7 @@ LIMITS = replace(
     min_excess=0.1,
     own_error_share=0.5,
     own_error_energy=1.5,
+    noise_own_share=0.01,
     run_to_run=4.0,
     stuck=2,
 )
