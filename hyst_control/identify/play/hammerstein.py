@@ -23,7 +23,6 @@ from hyst_control.identify.families.options import INTEGER, NUMBERS, TRUTH, Opti
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
 from hyst_control.identify.modal.late_modes import MOST_MODES, late_modes
 from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
-from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.gram_sums import Operators, Window, simulated_rows, weighted_operators
 from hyst_control.identify.solve.pole_zero_pair import pole_zero_pair
 from hyst_control.identify.solve.stable_dynamics import Structure, pace
@@ -36,7 +35,6 @@ MIN_FOR_LOADING = 6  # Number of operators below which the first loading gets no
 PRECISION = 1e-3  # Share of the bracket to which the widening with the rate is found
 MOST_PAIRS = 4  # Largest number of modes of G, where the further ones come with zeros of their own
 SEEN_ROWS = 16_000  # Rows in which vector fitting looks for modes
-CREEP_ERRORS = 3.0  # Standard errors of a slow pair's share of the static gain from which it is known
 SPACING, FOLLOWED = 1.6, 2
 """Ratio of the frequencies at which a single mode is looked for, and how many of them are starts."""
 MIN_IMPROVEMENT = 0.03  # A factor of G is kept when it lowers the held-out mean square error by more than this fraction
@@ -98,7 +96,7 @@ def fit_dynamic(problem: Problem, structure: Structure | None) -> tuple[Solution
     chosen = choose_structure(selection, structure, tried.append)
     chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
     final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=3, everything=True)
-    if structure is None and chosen.structure.slow_pair and not (_is_determined(problem, final) and _knows_creep(final)):
+    if structure is None and chosen.structure.slow_pair and not _is_determined(problem, final):
         # All rows together know the slow pair no more: it would only share the static gain with the session's drift.
         plainer = replace(chosen.structure, slow_pair=False)
         chosen = solve(selection, plainer, chosen.structure.without_slow_pair(chosen.parameters), chosen.theta, passes=20)
@@ -231,15 +229,6 @@ def _solved(problem: Problem, best: Solution, starts: Sequence[tuple[Structure, 
 def _is_determined(problem: Problem, solution: Solution) -> bool:
     """True where no pole or damping lies at its bound, where the records do not determine it."""
     return not solution.structure.at_limit(solution.parameters, min(window.sample_time for window in problem.windows))
-
-
-def _knows_creep(solution: Solution) -> bool:
-    """True where the slow pair's share of the static gain is more than its standard error by far."""
-    structure = solution.structure
-    spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(structure.size), solution.nuisances]))
-    creep = float(structure.split(solution.parameters)["slow_pair"][1])
-    at = len(solution.theta) + structure.size - structure.delay - 1
-    return abs(creep) > CREEP_ERRORS * float(np.sqrt(spread[at, at]))
 
 
 def first_modes(problem: Problem, static: Solution) -> list[tuple[float, float]]:
