@@ -71,8 +71,8 @@ def direction_findings(trial: Trial, left: CondensedRows, index: int) -> list[Fi
     if whole and not (in_no_order(trial.command[:, index]) and coherent_share(trial, index) < EXPLAINED):
         informative = independent_sines(left.command[:, index]) >= MIN_SINES
         if shifts := clock_difference(trial, index) or (growing_lead(trial, index) if informative else []):
-            # Of an exchanged record the lead of the inverse varies with what is excited when. Of one with lost rows the model without any lead
-            # leaves as little as the exchange does.
+            # Of an exchanged record the lead of the inverse varies with what is excited when. Of one with lost rows a model of the
+            # record taken so much later leaves as little as the exchange does.
             own = [ahead] + [_without_lead(trial, left, index, each.value) for each in shifts if each.name == "lost_rows"]
             found = _alternative(trial, left, index, min(own, key=lambda fit: fit.unexplained))[1]
             return found if any(each.name == "swapped_signals" for each in found) else shifts
@@ -98,7 +98,7 @@ def direction_findings(trial: Trial, left: CondensedRows, index: int) -> list[Fi
 
 
 def _without_lead(trial: Trial, rows: CondensedRows, index: int, lead: float) -> Reference:
-    """The model of an axis whose measurement is taken so much later, s, that it leads nowhere."""
+    """The model of an axis whose measurement is taken later by a lead, s, so that it leads nowhere."""
     late = int(np.ceil(lead / (rows.together * trial.sample_time))) + 1
     return reference(rows.inputs(index)[late:], rows.measurement[:-late, index])
 
