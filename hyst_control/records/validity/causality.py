@@ -73,8 +73,8 @@ def direction_findings(trial: Trial, left: CondensedRows, index: int) -> list[Fi
         if shifts := clock_difference(trial, index) or (growing_lead(trial, index) if informative else []):
             # Of an exchanged record the lead of the inverse varies with what is excited when. Of one with lost rows a model of the
             # record taken so much later leaves as little as the exchange does.
-            own = [ahead] + [_without_lead(trial, left, index, each.value) for each in shifts if each.name == "lost_rows"]
-            found = _alternative(trial, left, index, min(own, key=lambda fit: fit.unexplained))[1]
+            causal = [ahead, *(_without_lead(trial, left, index, each.value) for each in shifts if each.name == "lost_rows")]
+            found = _alternative(trial, left, index, min(causal, key=lambda fit: fit.unexplained))[1]
             return found if any(each.name == "swapped_signals" for each in found) else shifts
         delayed, own, lead, shifts = time_shifts(trial, left, index, ahead)
         if fast is not left and quick.unexplained < SOUND:
