@@ -19,6 +19,7 @@ from hyst_control.records.validity.beside_model import model_findings
 from hyst_control.records.validity.checks import examined, refuse_invalid
 from hyst_control.records.validity.findings import NAMES, Finding, Trial
 from hyst_control.records.validity.reference_model import averaged
+from hyst_control.records.validity.time_shift import clock_beside_model
 from hyst_plant_sim.physics import load_plant
 
 pytestmark = pytest.mark.long_file
@@ -589,6 +590,17 @@ def test_a_record_with_lost_rows_is_not_exchanged(seed):
     lost = random.choice(len(command), 40, replace=False)
     found, noted = examined([Trial("lost", command[:-40, None], np.delete(measured, lost)[:, None], 1e-4, ("x",), unit="um")])
     assert not found and [each.name for each in noted] == ["lost_rows"]
+
+
+@pytest.mark.parametrize("count, seed", [(20, 0), (60, 32)])
+def test_rows_lost_at_random_times_are_no_second_clock_beside_a_model(count, seed):
+    """Their shift grows as a random walk does, that of a clock evenly."""
+    command, answer = slow_loops_and_a_small_sweep()
+    random = np.random.default_rng(seed)
+    measured = answer + 2e-3 * random.standard_normal(len(answer))
+    lost = np.delete(measured, random.choice(len(command), count, replace=False))
+    trial = Trial("lost", command[:-count, None], lost[:, None], 1e-4, ("x",), simulated=answer[:-count, None], unit="um")
+    assert clock_beside_model(trial, 0) == []
 
 
 def test_a_turned_sign_is_no_delay_of_half_a_period():

@@ -129,9 +129,7 @@ def clock_difference(trial: Trial, index: int) -> list[Finding]:
     departures = together * _section_shifts(fit.predicted, corrected)
     # Of a fit that stopped early, a further one leaves less without a correction, too.
     own = min(first, continued(rows, measured, fit), key=lambda each: each.unexplained)
-    # The shift of rows lost at random times departs from a line as a random walk does that comes back.
-    even = abs(rate) < MAX_RATE and np.var(departures) < EVEN * grown / 6.0
-    if not even or fit.unexplained > HALF or not surely_better(fit, own, CLEAR):
+    if not (abs(rate) < MAX_RATE and _is_even(departures, grown)) or fit.unexplained > HALF or not surely_better(fit, own, CLEAR):
         return []
     return [_clock_finding(trial, index, rate)]
 
@@ -150,8 +148,15 @@ def clock_beside_model(trial: Trial, index: int) -> list[Finding]:
                 break
             rate += step
     kept = slice(int(len(measured) * (1.0 - abs(rate))))  # behind it a slow clock has no measurements
-    before, after = (_beside_gain_and_shift(expected[kept], values[kept]) for values in (measured, at_rate(measured, rate)))
-    return [_clock_finding(trial, index, rate)] if after < MOST * before else []
+    corrected = at_rate(measured, rate)
+    before, after = (_beside_gain_and_shift(expected[kept], values[kept]) for values in (measured, corrected))
+    even = _is_even(together * _section_shifts(expected[kept], corrected[kept]), abs(rate) * rows)
+    return [_clock_finding(trial, index, rate)] if even and after < MOST * before else []
+
+
+def _is_even(departures: Array, grown: float) -> bool:
+    """True where a shift grows as between two clocks: that of rows lost at random times departs as a random walk does that comes back."""
+    return bool(np.var(departures) < EVEN * grown / 6.0)
 
 
 def _clock_finding(trial: Trial, index: int, rate: float) -> Finding:
