@@ -8,12 +8,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from hyst_control.base import progress
-from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.identify.assess.fit_report import error_rows, residual, residual_from, with_state
+from hyst_control.identify.assess.fit_report import error_rows, residual, residual_energy, residual_from, with_state
 from hyst_control.identify.assess.free_motion import ending_dynamics
 from hyst_control.identify.data.fit import Fit, check_records
 from hyst_control.identify.data.initial_memory import beginning_rows, begins_at_rest, with_beginning
@@ -21,7 +18,6 @@ from hyst_control.identify.families.estimator import Estimator, estimator_of, es
 from hyst_control.identify.families.options import Options, option
 from hyst_control.model_file import Model
 from hyst_control.records.record import Beginning, Record
-from hyst_control.records.session_zero import without_zero
 
 LEAST = 32  # Samples from which on the beginning and the drift of a record are looked for
 REFITS, GAIN = 4, 0.9
@@ -77,21 +73,16 @@ def _fitted_amid_motion(estimator: Estimator[Any], records: Sequence[Record], op
         begun = [with_state(source, data) for data in records]
     if not any(isinstance(data.start, Beginning) and data.start.moving for data in begun):
         return found
-    least = _left([residual(found.model, data) for data in records])
+    least = residual_energy([residual(found.model, data) for data in records])
     for _ in range(REFITS):
         again = estimator.fit([_without_motion(source, data) for data in begun], options)
         known = [with_state(again.model, data) for data in records]
         residuals = [residual_from(again.model, data) for data in known]
-        if _left(residuals) > GAIN * least:
+        if residual_energy(residuals) > GAIN * least:
             break
         report: Any = {**again.report, "records": error_rows(records, residuals), "beginnings": beginning_rows(known)}
-        found, begun, least, source = Fit(again.model, report, tuple(residuals)), known, _left(residuals), again.model
+        found, begun, least, source = Fit(again.model, report, tuple(residuals)), known, residual_energy(residuals), again.model
     return found
-
-
-def _left(residuals: Sequence[Array]) -> float:
-    """Energy of residuals, each without its session's zero and drift."""
-    return sum(float(np.sum(without_zero(error)[0] ** 2)) for error in residuals)
 
 
 def _without_motion(model: Model, data: Record) -> Record:

@@ -51,6 +51,15 @@ def with_error(data: Record, added: np.ndarray) -> Record:
     return data.with_values(measurement=data.measurement + added[:, None])
 
 
+def test_a_start_that_the_record_states_is_kept():
+    """A mode that rings from before: estimated where nobody says how the record begins, part of the error where it is said to rest."""
+    data, sigma = cut_out(SLOW, stairs(3000, 300, 3), 1500)
+    model = identify([data], "linear").model
+    stated = replace(data, start="settled")
+    assert with_state(model, data).start != data.start and with_state(model, stated).start == "settled"
+    assert np.std(residual(model, data)) < 1.1 * sigma and np.std(residual(model, stated)) > 10.0 * sigma
+
+
 def test_a_mode_that_rings_from_before_is_found_and_explained_to_the_noise():
     data, sigma = cut_out(SLOW, stairs(3000, 300, 3), 1500)
     fit = identify([data], "linear")

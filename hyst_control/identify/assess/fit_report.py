@@ -47,6 +47,11 @@ def residual(model: Model, data: Record) -> Array:
     return residual_from(model, with_state(model, with_own_rows(model, data)))
 
 
+def residual_energy(residuals: Sequence[Array]) -> float:
+    """Energy of residuals (N, A), each without its session's zero and drift."""
+    return sum(float(np.sum(without_zero(error)[0] ** 2)) for error in residuals)
+
+
 def with_own_rows(model: Model, data: Record) -> Record:
     """The record with all its rows for a linear model, which has no hysteresis memory to be filled."""
     linear = all(stage.linear or isinstance(stage, Delay | Gain | Offset) for stage in model.chain.stages)

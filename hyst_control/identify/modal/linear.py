@@ -16,7 +16,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.identify.assess.assembly import AxisFit, fit_of
-from hyst_control.identify.assess.fit_report import MOVING
+from hyst_control.identify.assess.fit_report import MOVING, residual_energy
 from hyst_control.identify.data.fit import Fit, Number, OrderRow, ParameterRow, check_records
 from hyst_control.identify.data.fit_windows import as_window
 from hyst_control.identify.data.initial_memory import begins_at_rest
@@ -26,7 +26,6 @@ from hyst_control.identify.modal.linear_candidate import Candidate
 from hyst_control.identify.modal.linear_options import LinearOptions
 from hyst_control.identify.modal.linear_search import search
 from hyst_control.records.record import Record
-from hyst_control.records.session_zero import without_zero
 
 UNSURE = 0.1  # Relative standard deviation of the static gain from which a note says it
 
@@ -54,7 +53,7 @@ class Linear(Estimator[LinearOptions]):
         found = _fitted(records, options, still=still)
         if still and any(row["assumed"] == MOVING for row in found.report["beginnings"]):
             # A hysteresis that a linear model lacks resembles such a motion: what is left in the end decides.
-            found = min(found, _fitted(records, options, still=False), key=_left)
+            found = min(found, _fitted(records, options, still=False), key=lambda fit: residual_energy(fit.residuals))
         return found
 
 
@@ -73,11 +72,6 @@ def _fitted(records: Sequence[Record], options: LinearOptions, *, still: bool) -
         states += candidate.sections.order
     more = {"orders": table, "states": states}
     return fit_of(records, fits, Linear.name, options.method, offset=0.0, by_axis=True, more=more)
-
-
-def _left(found: Fit) -> float:
-    """Energy that a fit leaves of its records, each without its session's zero and drift."""
-    return sum(float(np.sum(without_zero(error)[0] ** 2)) for error in found.residuals)
 
 
 def _axis_fit(candidate: Candidate, axis: str, unit: str, suffix: str) -> AxisFit:

@@ -47,7 +47,7 @@ FAR_LESS = 0.05  # Ratio of what an arrangement of few sines leaves to what it l
 SWITCHED = 8
 """Levels up to which a command is switched, such as a binary sequence: no sensor has so few, and play operators cut the noise off them."""
 
-EXACT = 1e-6  # Share of a measurement's power that a causal model leaves of a record that is looked at no further: in 1e-4 a lead may hide
+EXACT = 1e-6  # Unexplained share of a measurement's power up to which a record is checked no further: in 1e-4 a lead may hide
 
 FITS = 0.03  # Share of a measurement's power that a model of the record read backwards or exchanged leaves at most
 
