@@ -27,6 +27,7 @@ from hyst_control.identify.assess.explained_share import (
     useless,
 )
 from hyst_control.identify.assess.fit_report import residual
+from hyst_control.identify.assess.imitated_hysteresis import imitated_hysteresis
 from hyst_control.identify.assess.model_choice import POOR, best_family, choice_lines
 from hyst_control.identify.assess.record_consistency import disagreements
 from hyst_control.identify.data.dead_time import lateness, taken_earlier, with_delay
@@ -201,13 +202,16 @@ def identify_records(
     errors = residuals_of(fit, begun)
     shares = explained_shares(begun, errors)
     poor = [] if useless(shares) else poorly_explained(begun, errors)
+    imitated = [] if useless(shares) else imitated_hysteresis(fit.model, begun, errors)
+    is_poor = bool(poor) or any(each.surely for each in imitated)
     differing = [each.text() for each in disagreements(fit.model, begun, errors)]
-    verdict = INVALID if found else NOTHING if useless(shares) else DISAGREE if differing else POORLY if poor else EXPLAINS
+    verdict = INVALID if found else NOTHING if useless(shares) else DISAGREE if differing else POORLY if is_poor else EXPLAINS
     mixed = any(stage.mixes_axes for stage in fit.model.chain.stages)
     notes = [
         *(each.text() for each in found),
         *(sentence(row) for row in useless(shares)),
         *(each.text() for each in poor),
+        *(each.text() for each in imitated),
         *notes,
         *differing,
         *fit.report["notes"],

@@ -125,6 +125,19 @@ def test_a_command_that_jumps_from_rest_at_its_first_row():
     assert fit.report["records"][0]["rmse"] < 1.1 * sigma and rows(fit)["frequency[0]"] == pytest.approx(4.0, rel=0.001)
 
 
+@pytest.mark.parametrize(("frequency", "jumps"), [(97.0, False), (300.0, True)])
+def test_a_mode_far_above_the_command_is_found_where_it_rings(frequency, jumps):
+    """Kinks of a slow triangle, or the first jump of a slow random command, excite a mode more than 20 times as fast."""
+    t = np.arange(8000) / 5000.0
+    slow = np.cos(2 * np.pi * np.outer(t, [1, 3, 7, 11])).sum(axis=1)
+    command = slow if jumps else np.abs(1.0 - (3.0 * t) % 2.0)
+    data, sigma = record(command, answer(command, 2e-4, mode(1.0, frequency, 0.015), first=0.0 if jumps else command[0]), 2e-4)
+    fit = identify([data], "linear")
+    assert fit.report["records"][0]["rmse"] < 1.05 * sigma
+    assert rows(fit)["frequency[0]"] == pytest.approx(frequency, rel=0.002)
+    assert rows(fit)["damping[0]"] == pytest.approx(0.015, rel=0.1)
+
+
 def test_a_larger_model_of_one_kind_never_fits_worse():
     random = np.random.default_rng(4)
     command = np.cumsum(random.normal(size=1500))

@@ -43,6 +43,16 @@ def test_standard_errors_are_the_scatter_of_the_solutions(pole):
     assert np.mean(errors, axis=0) == pytest.approx(np.std(solutions, axis=0), rel=0.25 if pole else 0.1)
 
 
+def test_a_parameter_that_moves_nothing_is_unknown_and_leaves_the_others_as_they_are():
+    random = np.random.default_rng(0)
+    blocks, _ = regression(random.normal(size=3000), random)
+    beside = np.insert(np.insert(blocks, 2, 0.0, axis=1), 2, 0.0, axis=2)
+    beside[:, 2, 2] = 1e-40  # rounding
+    found = covariance(beside, np.array([1.0, 2.0, 0.0]))
+    assert found[:2, :2] == pytest.approx(covariance(blocks, np.array([1.0, 2.0])), rel=0.02)
+    assert np.all(np.isfinite(found)) and found[2, 2] > 1e10
+
+
 def test_a_known_direction_keeps_its_size_and_an_unknown_one_gets_the_prior():
     angle = 0.6
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from hyst_control.base.arrays import Array, Complex
+from hyst_control.base.arrays import Array, Complex, Integers
 from hyst_control.identify.assess.fit_report import lag_one, noise_sigma
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.identify.data.initial_memory import OPERATORS, followed
@@ -117,13 +118,13 @@ def _compared(data: Record, error: Array, rows: slice, axis: int, name: str, lef
         return None
     window = Window(command, measurement, data.sample_time, data.hold, 0, 0)
     linear = _linear_reference(window)
-    plays = np.column_stack([_plays(data, axis, first + rows.start, len(command)), _powers(command)])
+    operators = np.column_stack([plays(data, axis, first + np.arange(rows.start, rows.stop)), powers(command)])
     worst = len(error) > ROWS
     alone = " of these rows alone" if worst else ""
     by_poles = f"a linear model of order {len(linear.poles) + np.count_nonzero(linear.poles.imag)}{alone}"
     references = {
         by_poles: linear.error,
-        f"a chain of play operators with a cubic{alone}": _mean_square_left(plays, measurement),
+        f"a chain of play operators with a cubic{alone}": mean_square_left(operators, measurement),
     }
     best = min(references, key=lambda each: references[each])
     reference = float(np.sqrt(max(references[best] - noise, 0.0))) / span
@@ -133,12 +134,12 @@ def _compared(data: Record, error: Array, rows: slice, axis: int, name: str, lef
         return None
     rate = np.gradient(command)
     causes = {
-        "level": plays,
+        "level": operators,
         "rate": np.column_stack([rate, np.abs(rate), rate * command, np.abs(rate) * command]),
         "frequency": np.column_stack(driven(window, linear.poles)),
     }
     power = float(np.var(error[rows]))
-    shares = {each: 1.0 - _mean_square_left(columns, error[rows]) / power for each, columns in causes.items()}
+    shares = {each: 1.0 - mean_square_left(columns, error[rows]) / power for each, columns in causes.items()}
     most = max(shares, key=lambda each: shares[each])
     if changing and changing > max(shares["level"], shares["rate"]):
         return Poor(name, own, own, best, "time", changing, False, worst, _gains(data, error, axis))
@@ -208,17 +209,18 @@ def _worst_rows(error: Array) -> slice:
     return slice(begin, begin + ROWS)
 
 
-def _plays(data: Record, axis: int, begin: int, count: int) -> Array:
-    """Play operators (count, n) of the command from a row on, from all that came before."""
+def plays(data: Record, axis: int, rows: Integers) -> Annotated[Array, "R n"]:
+    """Play operators of the command at some rows, from all that came before; the first one is the command."""
     memory, _ = before(data)
-    command = data.command[: begin + count, axis]
-    command = command if memory is None else np.concatenate([memory[:, axis], command])
-    reach = 0.5 * float(np.ptp(data.command[:, axis]))
+    command, reach = data.command[: rows[-1] + 1, axis], 0.5 * float(np.ptp(data.command[:, axis]))
+    if memory is not None:
+        command, rows = np.concatenate([memory[:, axis], command]), rows + len(memory)
     thresholds = reach * (np.arange(OPERATORS) / OPERATORS) ** 1.4
-    return followed(np.ascontiguousarray(command), thresholds, np.zeros(OPERATORS), np.arange(len(command) - count, len(command)))
+    return followed(np.ascontiguousarray(command), thresholds, np.zeros(OPERATORS), rows)
 
 
-def _powers(command: Array) -> Array:
+def powers(command: Array) -> Array:
+    """Square and cube of a command."""
     scaled = (command - command.mean()) / np.ptp(command)
     return np.column_stack([scaled**2, scaled**3])
 
@@ -230,7 +232,7 @@ def _square_left(columns: Array, target: Array) -> float:
     return float(rest @ rest)
 
 
-def _mean_square_left(columns: Array, target: Array) -> float:
+def mean_square_left(columns: Array, target: Array) -> float:
     """Mean square of a target that columns, an offset and a drift leave."""
     rows = np.arange(len(target)) / len(target)
     return _square_left(np.column_stack([columns, np.ones(len(rows)), rows]), target) / len(target)

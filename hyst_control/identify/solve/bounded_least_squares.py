@@ -12,6 +12,7 @@ from scipy.special import ndtri, stdtrit
 from hyst_control.base.arrays import Array
 
 MIN_REST = 1e-4  # Share of what a block tells of a parameter that the others tell at least: no score grows beyond it
+UNSEEN = 1e-20  # Share of the largest sum of squares up to which a parameter moves nothing: its variance is then the reciprocal
 
 
 def solve_bounded(
@@ -56,7 +57,8 @@ def covariance(blocks: Annotated[Array, "B K + 1 K + 1"], solution: Annotated[Ar
     correlate its score with its neighbors' (Newey and West, Econometrica 55, 1987).
     """
     gram = blocks.sum(axis=0)[:-1, :-1]
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    known = np.diag(gram)
+    scale = np.sqrt(np.maximum(known, max(UNSEEN * float(known.max()), 1e-300)))
     inner = blocks[:, :-1, :-1] / scale[:, None] / scale
     scores = (blocks[:, :-1, -1] - blocks[:, :-1, :-1] @ solution) / scale
     values, vectors = np.linalg.eigh(inner.sum(axis=0))
@@ -74,6 +76,7 @@ def covariance(blocks: Annotated[Array, "B K + 1 K + 1"], solution: Annotated[Ar
     freedom = part.sum(axis=0) ** 2 / np.maximum(np.sum(part**2, axis=0), 1e-300)
     scale = scale * ndtri(0.95) / stdtrit(np.maximum(freedom - 1.0, 1.0), 0.95)
     found: Array = (white @ spread @ white.T) / scale[:, None] / scale
+    found[np.diag_indices(len(found))] = np.where(known > UNSEEN * known.max(), np.diag(found), 1.0 / UNSEEN)
     return found
 
 
