@@ -35,7 +35,7 @@ def separation(part: AxisDiagnosis) -> dict[str, Any]:
 def ceiling(names: Sequence[Sequence[str]], products: Annotated[Array, "E E"], accepted: Sequence[Collection[str]]) -> float | None:
     """Probability that an ideal observer names the true effects, each by an accepted name; None where they were not fitted."""
     products = np.asarray(products, dtype=float)
-    right = [i for i, one in enumerate(names) if _is_right(one, accepted)]
+    right = [i for i, one in enumerate(names) if len(one) == len(accepted) and all({*one} & {*each} for each in accepted)]
     if not right:
         return None
     index = min(right, key=lambda i: products[i, i])
@@ -50,7 +50,3 @@ def ceiling(names: Sequence[Sequence[str]], products: Annotated[Array, "E E"], a
     alone = {names[i][0] for i in range(len(names)) if len(names[i]) == 1}
     odds = np.array([0.0 if names[i] else np.log(max(len(alone), 1)) for i in rivals])
     return float(np.mean(np.all(drawn < 0.5 * np.diag(gram) - odds, axis=1)))
-
-
-def _is_right(names: Sequence[str], accepted: Sequence[Collection[str]]) -> bool:
-    return len(names) == len(accepted) and all(set(names) & set(one) for one in accepted)
