@@ -138,6 +138,11 @@ def diagnose(
                     break
             else:
                 first = second
+        elif _is_of_a_session(first):  # the stated error, whose correlation is that of its fastest part, hardly allows slow ones
+            by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
+            second = again(part, by_spectrum, without=sorted((set(EFFECTS) - _session_effects()) | set(without)))
+            if second.decision.verdict in (Verdict.NO_GAP, Verdict.EFFECT) and not second.chosen.names:
+                first = second
         parts.append(_between_periods(first, without, singles, again))
     notes += [note for part in parts for note in _outlier_notes(part)]
     problem = replace(problem, beside_error=parts[0].problem.beside_error)
@@ -325,6 +330,13 @@ def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool
     )
 
 
+def _is_of_a_session(found: AxisDiagnosis) -> bool:
+    """True where all that is named is a zero that moves, beside an error that the model's file states with its spectrum."""
+    baseline, named = found.baseline, {name for one in found.listed for name in one.names}
+    stated = baseline is not None and baseline.clean is None and "spectrum" in found.problem.model.discrepancy
+    return stated and found.decision.verdict is Verdict.EFFECT and bool(named) and named <= _session_effects()
+
+
 def _between_periods(
     found: AxisDiagnosis, without: Sequence[str], configuration: Configuration, diagnosed: Callable[..., AxisDiagnosis]
 ) -> AxisDiagnosis:
@@ -344,6 +356,10 @@ def _is_one_of(found: AxisDiagnosis, effects: Collection[str]) -> bool:
     """True where such effects are the sure explanation. Of lines alone a spectrum from other records tells enough."""
     names = found.chosen.names
     return found.decision.verdict is Verdict.EFFECT and bool(names) and set(names) <= set(effects)
+
+
+def _session_effects() -> frozenset[str]:
+    return frozenset(name for name, effect in EFFECTS.items() if effect.companion is not None)
 
 
 def _line_effects() -> frozenset[str]:
