@@ -11,14 +11,13 @@ from scipy.signal import chirp, lfilter
 from hyst_control.identify.workflow import identify_records
 from hyst_control.records.record import Record, sampled_record
 
-RATE, ROWS = 5000.0, 8000
+RATE, ROWS = 2500.0, 4000
 TIME = np.arange(ROWS) / RATE
 TRIANGLE = 100.0 / np.pi * np.arcsin(np.sin(2 * np.pi * 3.0 * TIME))
 COMMANDS = {
     "one triangle": TRIANGLE,
     "shrinking triangles": TRIANGLE * np.linspace(1.0, 0.2, ROWS),
     "sweep": 50.0 * chirp(TIME, 0.5, TIME[-1], 60.0, phi=-90),
-    "levels": np.repeat(np.random.default_rng(4).uniform(-50, 50, 40), ROWS // 40),
 }
 
 
@@ -37,22 +36,21 @@ def with_creep(command: np.ndarray) -> np.ndarray:
 
 
 def measured(kind: str, machine) -> Record:
-    turn = np.exp((-0.03 + 1j) * 2 * np.pi * 300.0 / RATE)
+    turn = np.exp((-0.03 + 1j) * 2 * np.pi * 200.0 / RATE)
     den = np.array([1.0, -2.0 * turn.real, abs(turn) ** 2])
     answer = lfilter([0.0, den.sum()], den, machine(COMMANDS[kind]))
     noisy = answer + 1e-3 * np.ptp(answer) * np.random.default_rng(2).normal(size=ROWS)
     return sampled_record("r", COMMANDS[kind][:, None], noisy[:, None], 1.0 / RATE, ("x",), "um")
 
 
-@pytest.mark.parametrize("kind", ["shrinking triangles", "sweep", "levels"])
-def test_loops_of_play_operators_are_no_matter_of_poles(kind):
-    fit = identify_records([measured(kind, with_loops)], "linear")
+def test_loops_of_play_operators_are_no_matter_of_poles():
+    fit = identify_records([measured("sweep", with_loops)], "linear")
     assert fit.report["explained"][0]["model"] > 0.995, "the poles follow the loops of their own record"
     assert fit.report["verdict"] == "explains_poorly"
     assert any("linear dynamics imitate a hysteresis" in note and "--model hapi" in note for note in fit.report["notes"])
 
 
-@pytest.mark.parametrize("kind", ["shrinking triangles", "sweep", "levels"])
+@pytest.mark.parametrize("kind", ["shrinking triangles", "sweep"])
 def test_loops_of_slow_poles_are_no_hysteresis(kind):
     fit = identify_records([measured(kind, with_creep)], "linear")
     assert fit.report["verdict"] == "explains"
