@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from scipy.fft import rfft
 
-from hyst_control.base.arrays import Array
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import forked, map_known
 from hyst_control.identify.data.excited_band import REACH, excited_band
@@ -42,6 +42,7 @@ DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 2
 PASSES = 12  # Of a fit while structures are compared
 MISSED = 1.5  # Ratio of square errors from which a structure is fitted again, from the poles of the best one of its order
 EXACT = 1e-6  # Share of the range that no larger model needs to explain: records without noise leave rounding
+DIES = 10.0  # Factors of e by which motions decay over a record that imitate no hum
 SILENT = 1e-7  # Share of the power under which a record holds nothing between the lines of its command
 LOBE = 8  # Bins that one sine fills
 
@@ -148,7 +149,8 @@ class Trials:
             return False
         best = min(smaller, key=lambda each: each.held_out)
         fitted, known = _usual_error(candidate.solution.grams), _usual_error(best.solution.grams)
-        if known - fitted <= MIN_GAIN * known + candidate.exact:
+        dies = bool(np.all(-_poles(candidate).real * self.longest * self.sample_time > DIES))
+        if dies or known - fitted <= MIN_GAIN * known + candidate.exact:
             return False  # what it gains is in few rows, such as those behind a step
         parts = candidate.sections.parts(candidate.solution.parameters)
         undriven = [replace(part, B=np.zeros_like(part.B), D=np.zeros_like(part.D)) for part in parts]
@@ -360,8 +362,12 @@ def _equations(windows: Sequence[Window]) -> float:
 
 def _beyond_reach(candidate: Candidate) -> bool:
     """True for a pole at the upper limit: the data cannot separate it from a delay or a direct path."""
-    fastest = max(float(np.abs(np.roots(den)).max()) for _, den in candidate.sections.terms(candidate.solution.parameters))
-    return fastest > 0.99 * candidate.sections.fastest
+    return bool(np.any(np.abs(_poles(candidate)) > 0.99 * candidate.sections.fastest))
+
+
+def _poles(candidate: Candidate) -> Complex:
+    """Poles of the fitted structure, 1/s."""
+    return np.concatenate([np.zeros(0), *(np.roots(den) for _, den in candidate.sections.terms(candidate.solution.parameters))])
 
 
 def _least(candidates: Sequence[Candidate], of: int) -> float:
