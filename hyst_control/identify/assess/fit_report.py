@@ -54,8 +54,12 @@ def residual_energy(residuals: Sequence[Array]) -> float:
 
 def with_own_rows(model: Model, data: Record) -> Record:
     """The record with all its rows for a linear model, which has no hysteresis memory to be filled."""
-    linear = all(stage.linear or isinstance(stage, Delay | Gain | Offset) for stage in model.chain.stages)
-    return replace(data, start=Beginning(AT_FIRST, None, 0)) if linear and before(data)[1] else data
+    return replace(data, start=Beginning(AT_FIRST, None, 0)) if is_linear(model) and before(data)[1] else data
+
+
+def is_linear(model: Model) -> bool:
+    """True of a model without hysteresis or curves."""
+    return all(stage.linear or isinstance(stage, Delay | Gain | Offset) for stage in model.chain.stages)
 
 
 def residual_from(model: Model, data: Record) -> Array:

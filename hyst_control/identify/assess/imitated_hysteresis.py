@@ -16,9 +16,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hyst_control.base.arrays import Array, Integers
-from hyst_control.chain.memoryless import Offset
+from hyst_control.chain.linear.linear_stages import Delay
 from hyst_control.identify.assess.attainable import LITTLE, ROWS, mean_square_left, plays, powers
-from hyst_control.identify.assess.fit_report import noise_sigma
+from hyst_control.identify.assess.fit_report import is_linear, noise_sigma
 from hyst_control.identify.assess.free_motion import ending_dynamics
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.identify.data.initial_memory import OPERATORS
@@ -27,6 +27,7 @@ from hyst_control.records.record import Record
 
 AS_LITTLE, WELL = 1.25, 0.1 * LITTLE
 """Ratio of mean squares, and share of the range, up to which play operators alone count as good an explanation as the model."""
+MOST_ROWS = 2**20  # First rows of a longer record that are looked at
 HALF = 0.5  # Share of what the model leaves, beside white noise, that play operators beside it take
 
 
@@ -49,14 +50,14 @@ class Imitation:
                 f"{100 * self.beside:.2g} % of the range, they alone {100 * self.left:.2g} %: identify a hysteresis (--model hapi)"
             )
         return (
-            f"{self.axis}: a {loops} explains the record, too, and other records not alike: "
+            f"{self.axis}: a {loops} explains this record as well, and would answer other commands differently: "
             "record loops of other sizes and rates, or compare with --model hapi"
         )
 
 
 def imitated_hysteresis(model: Model, records: Sequence[Record], errors: Sequence[Array]) -> list[Imitation]:
     """Axes on which a linear model stands for a hysteresis; errors (N, A): of the last N rows of each record."""
-    if not all(stage.linear or isinstance(stage, Offset) for stage in model.chain.stages):
+    if not is_linear(model):
         return []
     found = []
     for axis in range(len(model.axes)):
@@ -66,13 +67,17 @@ def imitated_hysteresis(model: Model, records: Sequence[Record], errors: Sequenc
 
 
 def _imitation(model: Model, data: Record, error: Annotated[Array, "N"], axis: int) -> Imitation | None:
-    span, count = float(data.span[axis]), len(error)
-    if not (span > 0.0 and np.ptp(data.command[:, axis]) > 0.0 and count > ROWS // 64):
+    span, first = float(data.span[axis]), len(data.command) - len(error)
+    error = error[:MOST_ROWS]
+    count = len(error)
+    data = data.rows(0, first + count)
+    delays = [np.broadcast_to(stage.tau, len(model.axes))[axis] for stage in model.chain.stages if isinstance(stage, Delay)]
+    late = round(sum(delays) / data.sample_time)
+    if not (span > 0.0 and np.ptp(data.command[:, axis]) > 0.0 and count > ROWS // 64 + late):
         return None
-    rows = np.unique(np.linspace(0, count - 1, min(count, ROWS)).astype(np.int64))
-    first = len(data.command) - count
-    measured, operators = data.measurement[first + rows, axis], plays(data, axis, first + rows)
-    own = np.column_stack([_pole_outputs(model, data, axis, first + rows), measured - error[rows]])
+    rows = np.unique(np.linspace(max(late - first, 0), count - 1, min(count, ROWS)).astype(np.int64))
+    measured, operators = data.measurement[first + rows, axis], plays(data, axis, first + rows - late)
+    own = np.column_stack([_pole_outputs(model, data, axis, first + rows - late), measured - error[rows]])
     noise = noise_sigma([error[:, None]])[0] ** 2
     alone, linear, both = (
         mean_square_left(columns, measured)
