@@ -18,7 +18,6 @@ from test.diagnose.conftest import all_but
 from test.diagnose.test_line_below_own_error import NOISE, RATE, TIME, loops, machine
 
 SLOW, SIZE = 1.0, 30.0  # Frequency (Hz) below which the error's power is raised, and how much
-RANDOM = np.random.default_rng(5)
 COMMAND = loops(2.0, 90.0, 0.4)
 
 
@@ -36,7 +35,7 @@ def model() -> Model:
 
 def report(model: Model, added: np.ndarray) -> dict:
     answer = simulate(model, COMMAND[:, None], 1.0 / RATE, model.hold)[:, 0]
-    measured = answer + added + NOISE * RANDOM.standard_normal(len(TIME))
+    measured = answer + added + NOISE * np.random.default_rng(5).standard_normal(len(TIME))
     signals = {
         "command": Signal(TIME, COMMAND[:, None], ("x",), "V"),
         "measurement": Signal(TIME, measured[:, None], ("x",), "um"),

@@ -52,7 +52,7 @@ def with_error(data: Record, added: np.ndarray) -> Record:
 
 
 def test_a_start_that_the_record_states_is_kept():
-    """A mode that rings from before: estimated where nobody says how the record begins, part of the error where it is said to rest."""
+    """A mode that rings from before: estimated unless the record's start is stated, part of the error if it is stated as at rest."""
     data, sigma = cut_out(SLOW, stairs(3000, 300, 3), 1500)
     model = identify([data], "linear").model
     stated = replace(data, start="settled")

@@ -138,7 +138,8 @@ def diagnose(
                     break
             else:
                 first = second
-        elif _is_of_a_session(first):  # the stated error, whose correlation is that of its fastest part, hardly allows slow ones
+        elif _states_spectrum(first) and _is_one_of(first, _session_effects()):
+            # The stated correlation is that of the error's fastest part, which hardly allows slow errors.
             by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
             second = again(part, by_spectrum, without=sorted((set(EFFECTS) - _session_effects()) | set(without)))
             if second.decision.verdict in (Verdict.NO_GAP, Verdict.EFFECT) and not second.chosen.names:
@@ -321,20 +322,16 @@ def _axis(
 
 def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool:
     """True where a line stands out of what the model leaves, though it is no gap beside the stated error, which has no frequency."""
-    baseline = found.baseline
-    if found.decision.verdict is not Verdict.NO_GAP or baseline is None or baseline.clean is not None:
+    if found.decision.verdict is not Verdict.NO_GAP or not _states_spectrum(found):
         return False
     left = found.linearized.unexplained(found.found.none.solution.residual)
-    return "spectrum" in found.problem.model.discrepancy and any(
-        lines(found.problem, left, configuration.checks).get(name) for name in _line_effects()
-    )
+    return any(lines(found.problem, left, configuration.checks).get(name) for name in _line_effects())
 
 
-def _is_of_a_session(found: AxisDiagnosis) -> bool:
-    """True where all that is named is a zero that moves, beside an error that the model's file states with its spectrum."""
-    baseline, named = found.baseline, {name for one in found.listed for name in one.names}
-    stated = baseline is not None and baseline.clean is None and "spectrum" in found.problem.model.discrepancy
-    return stated and found.decision.verdict is Verdict.EFFECT and bool(named) and named <= _session_effects()
+def _states_spectrum(found: AxisDiagnosis) -> bool:
+    """True where the model's error is known from its file alone, with its spectrum."""
+    baseline = found.baseline
+    return baseline is not None and baseline.clean is None and "spectrum" in found.problem.model.discrepancy
 
 
 def _between_periods(

@@ -47,7 +47,7 @@ class Imitation:
         if self.surely:
             return (
                 f"{self.axis}: explains poorly: the linear dynamics imitate a {loops}: play operators beside them leave "
-                f"{100 * self.beside:.2g} % of the range, they alone {100 * self.left:.2g} %: identify a hysteresis (--model hapi)"
+                f"{100 * self.beside:.2g} % of the range, the dynamics alone {100 * self.left:.2g} %: identify with --model hapi"
             )
         return (
             f"{self.axis}: a {loops} explains this record as well, and would answer other commands differently: "
@@ -84,7 +84,8 @@ def _imitation(model: Model, data: Record, error: Annotated[Array, "N"], axis: i
         for columns in (np.column_stack([operators, powers(operators[:, 0])]), own, np.column_stack([operators, own]))
     )
     gain, chance = linear - both, both * (OPERATORS + 3.0 * np.sqrt(2.0 * OPERATORS)) / len(rows)
-    surely = gain > max(chance, HALF * (linear - noise))
+    excess = linear - noise  # the fit of a linear machine leaves noise, of which operators take some by chance
+    surely = min(gain, excess) > chance and gain > HALF * excess
     loops = _loops(operators, own if surely else powers(operators[:, 0]), measured) / span
     if loops < LITTLE or not (surely or alone < max(AS_LITTLE * linear, noise + (WELL * span) ** 2)):
         return None
@@ -93,7 +94,7 @@ def _imitation(model: Model, data: Record, error: Annotated[Array, "N"], axis: i
 
 
 def _pole_outputs(model: Model, data: Record, axis: int, rows: Integers) -> Annotated[Array, "R n"]:
-    """What each pole of the dynamics makes of the command, at some rows, from rest before the record."""
+    """Responses of the dynamics' poles to the command at some rows, from rest before the record."""
     running = ending_dynamics(model, data.sample_time, data.hold)
     memory, _ = before(data)
     command = data.command[:, axis] if memory is None else np.concatenate([memory[:, axis], data.command[:, axis]])

@@ -212,8 +212,8 @@ def _searched(
     orders = [options.order] if options.order else [each for each in ORDERS[not options.direct :] if each < limit]
     variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
     with forked([trials, few, *few]):
-        chosen, reached, table = _grow(trials, orders, variants)
-    if MISSED * reached + trials.exact < chosen.solution.fitted:
+        chosen, unlimited, table = _grow(trials, orders, variants)
+    if MISSED * unlimited + trials.exact < chosen.solution.fitted:
         # Poles without a limit explain more: the command's kinks or its first jump excite more than its spectrum shows.
         wide = replace(trials, fastest=np.pi / trials.sample_time)
         with forked([wide, few, *few]):
@@ -246,12 +246,12 @@ def _grow(trials: Trials, orders: Sequence[int], variants: Sequence[Variant]) ->
     tried: list[Candidate] = []
     smaller: dict[Variant, Candidate] = {}
     fitted: set[tuple[int, Variant]] = set()
-    every, stale, reach, reached = variants, 0, 0.0, np.inf
+    every, stale, reach, unlimited = variants, 0, 0.0, np.inf
     for order in orders:
         due = [each for each in variants if order >= 2 * each.smooth and (order or each.direct)]
         begins = list(dict.fromkeys((trials.delay_of(each), each.direct) for each in due))
         starts = trials.poles(order, begins, list(smaller.values()))
-        reached = min([reached, *(each.error for each in starts.values())])
+        unlimited = min([unlimited, *(each.error for each in starts.values())])
         fresh = map_known(
             trials.grown, [(order, each, starts[trials.delay_of(each), each.direct], smaller.get(each)) for each in due]
         )
@@ -281,7 +281,7 @@ def _grow(trials: Trials, orders: Sequence[int], variants: Sequence[Variant]) ->
     start = best.sections.partial(best.solution.parameters, trials.sample_time)
     fresh = map_known(trials.grown, [(order, each, start, None) for each in others])
     table += [_row(each, trials.sample_time, trials.windows) for each in fresh]
-    return _best_of(tried + [each for each in fresh if trials.counts(each, tried)]), reached, table
+    return _best_of(tried + [each for each in fresh if trials.counts(each, tried)]), unlimited, table
 
 
 def _best_of(tried: Sequence[Candidate]) -> Candidate:
