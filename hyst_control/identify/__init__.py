@@ -23,6 +23,7 @@ LEAST = 32  # Samples from which on the beginning and the drift of a record are 
 REFITS, GAIN = 4, 0.9
 """Most repetitions of a fit to records that begin amid a motion, and the share of the energy that each leaves at most."""
 LINEAR_ROWS = 2**14  # First rows of each record to which a linear model is fitted
+LITTLE = 0.3  # Error (% of range) up to which a fit that sees no motion from before is believed
 
 
 def identify(records: Sequence[Record], family: str, method: str = "joint", **options: object) -> Fit:
@@ -63,19 +64,30 @@ def identify(records: Sequence[Record], family: str, method: str = "joint", **op
 
 def _fitted_amid_motion(estimator: Estimator[Any], records: Sequence[Record], options: Any, found: Fit) -> Fit:
     """The fit, repeated without the motion that goes on from before the records, as long as this leaves clearly less."""
-    source, first = found.model, records[0]
-    begun = [with_state(source, data) for data in records]
-    if ending_dynamics(source, first.sample_time, first.hold) is None:
+    first = records[0]
+    dynamics = ending_dynamics(found.model, first.sample_time, first.hold)
+    if dynamics is None:
         return found
-    if len(first.axes) == 1 and not all(map(begins_at_rest, begun)):
-        # A linear model, whose fit knows of the motion, is not led astray by it.
-        source = identify([data.rows(0, LINEAR_ROWS) for data in records], "linear").model
-        begun = [with_state(source, data) for data in records]
-    if not any(isinstance(data.start, Beginning) and data.start.moving for data in begun):
+    begun = [with_state(found.model, data) for data in records]
+    moving = any(map(_is_moving, begun))
+    if len(first.axes) > 1 or all(map(begins_at_rest, begun)):
+        return _without_motion(estimator, records, options, found, found.model)
+    # A linear model, whose fit knows of the motion, is not led astray by it. Mostly its order is the one that the fit has found.
+    early = [data.rows(0, LINEAR_ROWS) for data in records]
+    for order in [dynamics.a.shape[1]] * moving + [None]:
+        if order or max(row["nrmse_own_zero"] for row in found.report["records"]) > LITTLE:
+            found = _without_motion(estimator, records, options, found, identify(early, "linear", order=order).model)
+    return found
+
+
+def _without_motion(estimator: Estimator[Any], records: Sequence[Record], options: Any, found: Fit, source: Model) -> Fit:
+    """The fit, repeated without the motion that a model sees at first, as long as this leaves clearly less."""
+    begun = [with_state(source, data) for data in records]
+    if not any(map(_is_moving, begun)):
         return found
     least = residual_energy([residual(found.model, data) for data in records])
     for _ in range(REFITS):
-        again = estimator.fit([_without_motion(source, data) for data in begun], options)
+        again = estimator.fit([_still(source, data) for data in begun], options)
         known = [with_state(again.model, data) for data in records]
         residuals = [residual_from(again.model, data) for data in known]
         if residual_energy(residuals) > GAIN * least:
@@ -85,7 +97,11 @@ def _fitted_amid_motion(estimator: Estimator[Any], records: Sequence[Record], op
     return found
 
 
-def _without_motion(model: Model, data: Record) -> Record:
+def _is_moving(data: Record) -> bool:
+    return isinstance(data.start, Beginning) and data.start.moving
+
+
+def _still(model: Model, data: Record) -> Record:
     """A record whose measurement is without the motion from before, as a model has it; the beginning is that of its memory."""
     if not (isinstance(data.start, Beginning) and data.start.moving):
         return data

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -169,7 +170,7 @@ class SimulationError:
         together = -(-everywhere // (length * MAX_BLOCKS))
         grams, rows, count = np.zeros((2, size + 1, size + 1)), np.zeros(2, dtype=int), 0
         blocks: list[Array] = []
-        energies: list[float] = []
+        energies: list[Array] = []
         nuisances: list[Array] = []
         moved: list[Array] = []
         extra = NUISANCES[self.nuisance]
@@ -193,25 +194,27 @@ class SimulationError:
                 place = _Place(
                     size, extra, columns, number * own_states, zero, rest, len(record) == 1, states[begin : begin + own_states]
                 )
-                for block in self._blocks(window, running[number], place, length):
-                    product = block.T @ block
-                    if (count - first) % together:
-                        pieces[-1] += product
-                    else:
-                        pieces.append(product)
-                    count += 1
-                    which = 1 if (count - first) % 3 == 0 else 0  # never a record's first rows, which determine its initial state
-                    sums[which] += product
-                    own[which] += len(block)
+                for rows_of in self._chunks(window, running[number], place):
+                    for product, size_of in products(rows_of, length):
+                        if (count - first) % together:
+                            pieces[-1] += product
+                        else:
+                            pieces.append(product)
+                        count += 1
+                        which = (
+                            1 if (count - first) % 3 == 0 else 0
+                        )  # never a record's first rows, which determine its initial state
+                        sums[which] += product
+                        own[which] += size_of
             known, used = (sums.sum(axis=0), own.sum()) if self.everything else (sums[0], own[0])
             span = max(float(np.ptp(window.measurement)) for window in record)
             effects, penalty = _eliminated(known, size, extra, span, int(used), length if self.alike else 1)
             keep = np.vstack([np.eye(size, size + 1), -effects, np.eye(1, size + 1, size)])
             grams[0] += _kept(sums[0], keep) + penalty
             grams[1] += _kept(sums[1], keep)
-            kept = [_kept(piece, keep) for piece in pieces]
-            blocks += kept
-            energies += [float(each[-1, -1]) for each in (kept[2::3] if together == 1 else kept)]
+            kept = _kept(np.reshape(pieces, (-1, total, total)), keep)
+            blocks.append(kept)
+            energies.append((kept[2::3] if together == 1 else kept)[:, -1, -1])
             moved.append(effects[extra:, -1])
             nuisances.append(effects[:extra, -1] + (zero - rest[0]) * (np.arange(extra) == 0))
             rows += own
@@ -222,13 +225,13 @@ class SimulationError:
             np.concatenate([np.zeros(0), *moved]),
             max(float(chosen[-1, -1]), 0.0) / max(int(counted), 1),
             max(float(grams[1, -1, -1]), 0.0) / max(int(rows[1]), 1),
-            Grams(grams[0], grams[1], (int(rows[0]), int(rows[1])), np.array(blocks)),
+            Grams(grams[0], grams[1], (int(rows[0]), int(rows[1])), np.concatenate(blocks)),
             parameters,
-            np.array(energies),
+            np.concatenate(energies),
         )
 
-    def _blocks(self, window: Window, running: Bundle, place: _Place, length: int) -> Iterator[Array]:
-        """Blocks of rows of [derivatives, session effects, error] of a window."""
+    def _chunks(self, window: Window, running: Bundle, place: _Place) -> Iterator[Array]:
+        """Rows of [derivatives, session effects, error] of a window that count, chunk by chunk."""
         signal, first = driving_signal(window)
         running.settle(float(signal[0, 0]))
         n, size, extra = len(window.command), place.size, place.extra
@@ -256,8 +259,7 @@ class SimulationError:
             for power in range(extra):
                 rows[:, size + power] = (share - 0.5) ** power
             np.subtract(window.measurement[chunk:stop] - place.zero, nominal - place.rest[0], out=rows[:, -1])
-            for row in range(max(window.skip - chunk, 0), stop - chunk, length):
-                yield rows[row : row + length]
+            yield rows[max(window.skip - chunk, 0) :]
 
 
 @dataclass(frozen=True)
@@ -279,10 +281,20 @@ class _Place:
         return self.alone and self.extra > 0
 
 
-def _kept(gram: Array, keep: Array) -> Array:
-    """A Gram matrix without the session effects; what is left of the error is no smaller than the rounding of what was there."""
-    found = np.asarray(keep.T @ gram @ keep, dtype=float)
-    found[-1, -1] = max(float(found[-1, -1]), ROUNDING * float(gram[-1, -1]))
+def products(rows: Annotated[Array, "N C"], length: int) -> Iterator[tuple[Array, int]]:
+    """The Gram matrix of every block of at most `length` rows, and its number of rows."""
+    whole = len(rows) // length
+    blocks = rows[: whole * length].reshape(whole, length, rows.shape[1])
+    for product in np.matmul(blocks.transpose(0, 2, 1), blocks):
+        yield product, length
+    if rest := len(rows) - whole * length:
+        yield rows[-rest:].T @ rows[-rest:], rest
+
+
+def _kept(grams: Annotated[Array, "... T T"], keep: Array) -> Array:
+    """Gram matrices without the session effects; what is left of the error is no smaller than the rounding of what was there."""
+    found = np.asarray(keep.T @ grams @ keep, dtype=float)
+    found[..., -1, -1] = np.maximum(found[..., -1, -1], ROUNDING * grams[..., -1, -1])
     return found
 
 
