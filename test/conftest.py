@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
@@ -23,6 +24,8 @@ from hyst_control.processes import environment
 from hyst_control.processes.ros_domain import own_domain
 
 environment.prepare()
+# A shell ignores interrupts in what it runs in the background, and so would the commands whose interrupts are tested.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 if "PYTEST_XDIST_WORKER" in os.environ:  # a worker a core: forks of each would cost a third of the processor time of a diagnosis
     compute_serially()
 ROOT = Path(__file__).resolve().parent.parent

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from hyst_control.identify.assess.fit_report import MOVING, residual, with_state
 from hyst_control.identify.assess.free_motion import ending_dynamics, free_motion, without_free_motion
 from hyst_control.identify.data.fit_windows import closed_loop
 from hyst_control.identify.data.hold_choice import hold_errors
+from hyst_control.identify.data.initial_memory import begins_at_rest, with_beginning
 from hyst_control.identify.modal.coupled_linear import spectra_of
 from hyst_control.identify.validation import validate_record
 from hyst_control.model_file import Model
@@ -195,20 +197,36 @@ def test_slow_dynamics_behind_a_smooth_command_are_a_sound_record():
     assert not examined([Trial("r", data.command, data.measurement, data.sample_time, data.axes)])[0]
 
 
-@pytest.mark.parametrize(("frequency", "damping"), [(30.0, 0.04), (15.0, 0.05)])
-def test_play_operators_with_a_mode_that_rings_from_before(frequency, damping):
-    """A fit that begins at rest leaves more than ten times the noise of these records."""
-    rate, rows, w = 1000.0, np.arange(8000), 2 * np.pi * frequency
-    command = 50.0 + 45.0 * signal.chirp(rows / rate, 0.375, 8.0, 2.0 * frequency)
+def loops_of(command: np.ndarray) -> np.ndarray:
+    """Five play operators, from rest at 0 V."""
     thresholds, states = np.array([0.0, 3.0, 8.0, 15.0, 25.0]), np.zeros(5)
     loops = np.empty(len(command))
     for k, u in enumerate(command):
         states = np.clip(states, u - thresholds, u + thresholds)
         loops[k] = states @ [0.06, 0.02, 0.015, 0.01, 0.01]
-    data, sigma = cut_out(([w * w], [1.0, 2 * damping * w, w * w]), loops, 4000, 1e-3, 1 / rate)
+    return loops
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(30.0, 0.04), (15.0, 0.05)])
+def test_play_operators_with_a_mode_that_rings_from_before(frequency, damping):
+    """A fit that begins at rest leaves more than ten times the noise of these records."""
+    rate, rows, w = 1000.0, np.arange(8000), 2 * np.pi * frequency
+    command = 50.0 + 45.0 * signal.chirp(rows / rate, 0.375, 8.0, 2.0 * frequency)
+    data, sigma = cut_out(([w * w], [1.0, 2 * damping * w, w * w]), loops_of(command), 4000, 1e-3, 1 / rate)
     data = data.with_values(command=command[-4000:, None])
     row = identify([data], "hapi").report["records"][0]
     assert row["nrmse_own_zero"] < 130.0 * sigma / np.ptp(data.measurement)
+
+
+def test_play_operators_without_a_motion_from_before_ask_no_linear_model(monkeypatch):
+    """Its search took four times as long as the fit itself, for a mode that has come to rest long before the record."""
+    rate, w = 1000.0, 2 * np.pi * 60.0
+    command = 50.0 + 45.0 * np.sin(2 * np.pi * 1.5 * np.arange(6000) / rate) * np.sin(np.pi * np.arange(6000) / 6000)
+    data, sigma = cut_out(([w * w], [1.0, 0.2 * w, w * w]), loops_of(command), 3000, 1e-3, 1 / rate)
+    monkeypatch.setattr(sys.modules["hyst_control.identify"], "identify", lambda *_, **__: pytest.fail("a linear model is fitted"))
+    fit = identify([data.with_values(command=command[-3000:, None])], "hapi")
+    assert fit.report["records"][0]["nrmse_own_zero"] < 130.0 * sigma / np.ptp(data.measurement)
+    assert not begins_at_rest(with_beginning(data.with_values(command=command[-3000:, None])))
 
 
 @pytest.mark.parametrize("seed", [5, 6, 7])
