@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyst_control.diagnose.likelihood.decide import judge
+from hyst_control.diagnose.likelihood.decide import Judgement, judge
 from hyst_control.diagnose.likelihood.evidence import Fit
 from hyst_control.diagnose.likelihood.fits import Fits, Hypothesis
 from hyst_control.diagnose.likelihood.hypotheses import Kind, Priors, weigh
@@ -112,14 +112,29 @@ def test_a_stage_that_is_a_little_off_is_its_effect_and_one_that_is_far_off_is_s
     assert judge(weigh(some, Priors()), some, 0.1, 0.9, 0.5).verdict is verdict
 
 
-def test_two_effects_that_cannot_be_separated_are_both_named():
+def alike(first: str, second: str, better: float) -> Judgement:
+    """The judgement on two effects that cannot be separated, of which the first is `better` times as probable."""
     random = np.random.default_rng(5)
     column = random.standard_normal(COUNT)
-    effects = {"first": column, "second": column + 1e-3 * random.standard_normal(COUNT)}
-    some = fits(2.0 * column + random.standard_normal(COUNT), effects)
-    judged = judge(weigh(some, Priors()), some, 0.1, 0.9, 0.5)
+    some = fits(2.0 * column + random.standard_normal(COUNT), {first: column, second: column})
+    weighed = [replace(one, probability=one.probability * better ** (one.names == (first,))) for one in weigh(some, Priors())]
+    total = sum(one.probability for one in weighed)
+    weighed = sorted((replace(one, probability=one.probability / total) for one in weighed), key=lambda one: -one.probability)
+    return judge(weighed, some, 0.1, 0.9, 0.5)
+
+
+def test_two_effects_that_cannot_be_separated_are_both_named():
+    judged = alike("first", "second", 1.0)
     assert judged.verdict is Verdict.AMBIGUOUS
     assert {one.names for one in judged.named} >= {("first",), ("second",)}
+
+
+@pytest.mark.parametrize(("plain", "rich"), [("gain", "resonance"), ("gain", "gain_drift"), ("offset", "offset_drift")])
+def test_an_effect_that_may_stand_for_a_more_probable_simpler_one_is_not_listed_beside_it(plain, rich):
+    """A mode far above the command does what a gain does, whatever its frequency; one that explains more is named all the same."""
+    judged = alike(plain, rich, 2.0)
+    assert [one.names for one in judged.named] == [(plain,)] and (rich,) not in judged.probability
+    assert {one.names for one in alike(rich, plain, 2.0).named} == {(plain,), (rich,)}
 
 
 def test_many_realizations_make_an_effect_no_likelier():

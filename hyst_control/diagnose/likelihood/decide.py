@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from hyst_control.diagnose.decide.policy import PARAMETERS
 from hyst_control.diagnose.likelihood.fits import Fits
 from hyst_control.diagnose.likelihood.hypotheses import FLICKER, Kind, Weighed
 from hyst_control.diagnose.verdict import Reason, Verdict
+from hyst_control.effects import EFFECTS
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,33 @@ def judge(weighed: Sequence[Weighed], fits: Fits, floor: float, level: float, al
     if other > total or not known:
         return judgement(Verdict.UNKNOWN, Reason.SOMETHING_ELSE, known[:1])
     shares = np.cumsum([one.probability for one in known]) / total
-    named = known[: int(np.searchsorted(shares, level)) + 1]
+    named = list[Weighed]()
+    for one in known[: int(np.searchsorted(shares, level)) + 1]:
+        plain = next((other for other in named if _is_richer(one, other)), None)
+        if plain is None:
+            named.append(one)
+        else:
+            probability[plain.names] += probability.pop(one.names)
     if len(named) > 1:
         return judgement(Verdict.AMBIGUOUS, Reason.SEVERAL_EXPLANATIONS, named)
     if named[0].kind is Kind.PARAMETERS:
         return judgement(Verdict.PARAMETERS, Reason.COEFFICIENTS_BEYOND_TOLERANCE, named)
     noise = named[0].names == (FLICKER,)
     return judgement(Verdict.EFFECT, Reason.NOISE_EXPLAINS_MORE if noise else Reason.ONE_EXPLANATION, named)
+
+
+def _is_richer(one: Weighed, other: Weighed) -> bool:
+    """True for an explanation that has an effect where the other has a simpler one, which it may stand for."""
+    return any({*one.names} - {rich} | {plain} == {*other.names} for rich, plain in _simpler() if rich in one.names)
+
+
+def _simpler() -> Iterator[tuple[str, str]]:
+    """Effects that may stand for simpler ones, each with one of these."""
+    for name, effect in EFFECTS.items():
+        if effect.ends_as is not None:
+            yield name, effect.ends_as
+        if effect.static_elsewhere:
+            yield from ((name, plain) for plain in EFFECTS if EFFECTS[plain].static)
 
 
 def _matters(one: Weighed, fits: Fits, floor: float) -> bool:
