@@ -103,16 +103,3 @@ def test_an_effect_that_is_hardly_there_is_not_beyond_its_range():
         lower, upper, centre = members[name].bounds()
         assert not members[name].is_at_bound(centre)
         assert [members[name].is_at_bound(end) for end in (upper, lower)] == [fast, slow]
-
-
-@pytest.mark.parametrize("valley", [3.74, 3.62, 1.7])
-def test_a_valley_narrower_than_the_distance_of_starts_is_entered(valley, monkeypatch):
-    """Beside a steep discrepancy the misfit of a limit rises within a tenth about its true value; elsewhere it is that without it."""
-
-    def misfit(_linearized, _unknowns, at):
-        return 100.0 - 96.0 * float(np.exp(-0.5 * ((at[0] - valley) / 0.12) ** 2))
-
-    monkeypatch.setattr(candidate_fits, "misfit_at", misfit)
-    grid = [np.array([value, 0.0]) for value in (4.045, 3.481, 2.748, 1.945, 1.213, 0.41)]
-    nearest = candidate_fits._near(None, None, grid, 100.0)[0]
-    assert abs(nearest[0] - valley) < 0.15 and nearest[1] == 0.0

@@ -20,7 +20,6 @@ from hyst_control.diagnose.search.fit import LENGTHS, MIN_APPROACH, Linearized, 
 
 FAR = 4.0
 """Misfit of a start, in those without the effect, from which the effect is far larger there than what it could explain."""
-HALVINGS = 2  # Times that the gaps between the closest start and its neighbors are halved
 
 
 @dataclass(frozen=True)
@@ -125,15 +124,9 @@ def _promising(
 
 def _near(linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array], misfit: float) -> list[Array]:
     """Starts whose misfit is at most `FAR` times that without the effect, closest first; the closest one is always among them."""
-    tried = [(misfit_at(linearized, unknowns, start), start) for start in starts]
-    for _ in range(HALVINGS):  # the valley of a limit may be narrower than the distance of starts
-        best = int(np.argmin([left for left, _ in tried]))
-        for i in (best + 1, best):  # the later one first, so that the earlier keeps its place
-            if 0 < i < len(tried) and np.count_nonzero(tried[i][1] != tried[i - 1][1]) == 1:
-                middle = 0.5 * (tried[i - 1][1] + tried[i][1])
-                tried.insert(i, (misfit_at(linearized, unknowns, middle), middle))
-    nearest, *others = sorted(tried, key=lambda item: item[0])
-    return [start for left, start in (nearest, *(one for one in others if one[0] <= FAR * misfit))]
+    misfits = [misfit_at(linearized, unknowns, start) for start in starts]
+    nearest, *others = sorted(range(len(starts)), key=misfits.__getitem__)
+    return [starts[nearest], *(starts[i] for i in others if misfits[i] <= FAR * misfit)]
 
 
 def best_scaled(linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array], count: int) -> list[Array]:
