@@ -74,9 +74,11 @@ def _fitted_amid_motion(estimator: Estimator[Any], records: Sequence[Record], op
         return _without_motion(estimator, records, options, found, found.model)
     # A linear model, whose fit knows of the motion, is not led astray by it. Mostly its order is the one that the fit has found.
     early = [data.rows(0, LINEAR_ROWS) for data in records]
-    for order in [dynamics.a.shape[1]] * moving + [None]:
-        if order or max(row["nrmse_own_zero"] for row in found.report["records"]) > LITTLE:
-            found = _without_motion(estimator, records, options, found, identify(early, "linear", order=order).model)
+    if moving:
+        source = identify(early, "linear", order=dynamics.a.shape[1]).model
+        found = _without_motion(estimator, records, options, found, source)
+    if max(row["nrmse_own_zero"] for row in found.report["records"]) > LITTLE:
+        found = _without_motion(estimator, records, options, found, identify(early, "linear").model)
     return found
 
 

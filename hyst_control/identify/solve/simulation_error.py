@@ -194,18 +194,16 @@ class SimulationError:
                 place = _Place(
                     size, extra, columns, number * own_states, zero, rest, len(record) == 1, states[begin : begin + own_states]
                 )
-                for rows_of in self._chunks(window, running[number], place):
-                    for product, size_of in products(rows_of, length):
+                for chunk in self._chunks(window, running[number], place):
+                    for product, height in _products(chunk, length):
                         if (count - first) % together:
                             pieces[-1] += product
                         else:
                             pieces.append(product)
                         count += 1
-                        which = (
-                            1 if (count - first) % 3 == 0 else 0
-                        )  # never a record's first rows, which determine its initial state
-                        sums[which] += product
-                        own[which] += size_of
+                        held_out = int((count - first) % 3 == 0)  # never a record's first rows, which determine its initial state
+                        sums[held_out] += product
+                        own[held_out] += height
             known, used = (sums.sum(axis=0), own.sum()) if self.everything else (sums[0], own[0])
             span = max(float(np.ptp(window.measurement)) for window in record)
             effects, penalty = _eliminated(known, size, extra, span, int(used), length if self.alike else 1)
@@ -281,7 +279,7 @@ class _Place:
         return self.alone and self.extra > 0
 
 
-def products(rows: Annotated[Array, "N C"], length: int) -> Iterator[tuple[Array, int]]:
+def _products(rows: Annotated[Array, "N C"], length: int) -> Iterator[tuple[Array, int]]:
     """The Gram matrix of every block of at most `length` rows, and its number of rows."""
     whole = len(rows) // length
     blocks = rows[: whole * length].reshape(whole, length, rows.shape[1])
