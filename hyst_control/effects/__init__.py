@@ -21,4 +21,16 @@ EFFECTS: Registry[Effect] = Registry(
 )
 """Every effect by name: in signal order, and at one place the simplest first."""
 
-__all__ = ["EFFECTS", "insert"]
+
+def ending_as() -> tuple[tuple[str, str], ...]:
+    """Effects that become a simpler one at an end of their ranges, each with that one."""
+    return tuple((name, effect.ends_as) for name, effect in EFFECTS.items() if effect.ends_as is not None)
+
+
+def shares_elsewhere() -> tuple[tuple[str, str], ...]:
+    """Effects that are a share of the motion below a frequency of their own, each with those that are one at every frequency."""
+    rich = [name for name, effect in EFFECTS.items() if effect.static_elsewhere]
+    return tuple((name, plain) for name in rich for plain, effect in EFFECTS.items() if effect.static)
+
+
+__all__ = ["EFFECTS", "ending_as", "insert", "shares_elsewhere"]

@@ -23,7 +23,7 @@ LEAST = 32  # Samples from which on the beginning and the drift of a record are 
 REFITS, GAIN = 4, 0.9
 """Most repetitions of a fit to records that begin amid a motion, and the share of the energy that each leaves at most."""
 LINEAR_ROWS = 2**14  # First rows of each record to which a linear model is fitted
-LITTLE = 0.3  # Error (% of range) up to which a fit that sees no motion from before is believed
+LITTLE = 0.3  # Error (% of range) above which a linear model of any order looks for a motion from before
 
 
 def identify(records: Sequence[Record], family: str, method: str = "joint", **options: object) -> Fit:

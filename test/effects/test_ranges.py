@@ -64,7 +64,7 @@ def test_slew_limits_are_looked_for_far_below_a_step():
 
 @pytest.mark.parametrize("share", [0.07, 0.2, 0.37, 0.45, 0.55, 0.65, 0.74, 0.82])
 def test_some_start_of_a_slew_limit_explains_most_of_what_it_does(share):
-    """Starts apart by more than the valley of the misfit all leave more than there is without a limit; numpy follows the command here."""
+    """With too few starts each of them leaves nearly as much as no limit at all, and no fit begins well. The limit here is numpy's."""
     time = np.arange(4000) * STEP
     command = 10.0 * np.sin(2 * np.pi * 20.0 * time) + 3.0 * np.sin(2 * np.pi * 85.0 * time + 1.0)
     slew = float(np.abs(np.diff(command)).max()) / STEP

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from hyst_control.diagnose.decide.policy import PARAMETERS
 from hyst_control.diagnose.likelihood.fits import Fits
 from hyst_control.diagnose.likelihood.hypotheses import FLICKER, Kind, Weighed
 from hyst_control.diagnose.verdict import Reason, Verdict
-from hyst_control.effects import EFFECTS
+from hyst_control.effects import ending_as, shares_elsewhere
 
 
 @dataclass(frozen=True)
@@ -64,16 +64,8 @@ def judge(weighed: Sequence[Weighed], fits: Fits, floor: float, level: float, al
 
 def _is_richer(one: Weighed, other: Weighed) -> bool:
     """True for an explanation that has an effect where the other has a simpler one, which it may stand for."""
-    return any({*one.names} - {rich} | {plain} == {*other.names} for rich, plain in _simpler() if rich in one.names)
-
-
-def _simpler() -> Iterator[tuple[str, str]]:
-    """Effects that may stand for simpler ones, each with one of these."""
-    for name, effect in EFFECTS.items():
-        if effect.ends_as is not None:
-            yield name, effect.ends_as
-        if effect.static_elsewhere:
-            yield from ((name, plain) for plain in EFFECTS if EFFECTS[plain].static)
+    pairs = (*ending_as(), *shares_elsewhere())
+    return any({*one.names} - {rich} | {plain} == {*other.names} for rich, plain in pairs if rich in one.names)
 
 
 def _matters(one: Weighed, fits: Fits, floor: float) -> bool:

@@ -32,7 +32,7 @@ from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, st
 from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.diagnose.validate.predictability import predictable_share
 from hyst_control.diagnose.validate.unexplained_residual import leftover
-from hyst_control.effects import EFFECTS
+from hyst_control.effects import EFFECTS, ending_as, shares_elsewhere
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 
@@ -63,10 +63,8 @@ def collect(found: Found, null: float, prepared: Prepared, configuration: Config
         frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
         frozenset(name for name, effect in EFFECTS.items() if effect.line is not None),
         problem.is_carried,
-        tuple((name, effect.ends_as) for name, effect in EFFECTS.items() if effect.ends_as is not None),
-        tuple(
-            (name, plain) for name, rich in EFFECTS.items() if rich.static_elsewhere for plain in EFFECTS if EFFECTS[plain].static
-        ),
+        ending_as(),
+        shares_elsewhere(),
         _moved(found, prepared.stated),
         float(np.mean((found.linearized.measured - found.linearized.nominal) ** 2)),
     )
