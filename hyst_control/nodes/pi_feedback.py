@@ -91,10 +91,12 @@ class PiFeedback(ManagedNode):
         for each in rows:  # once per tick: written for speed
             if not each.available:
                 return
+        self._yield_to_rival()  # before any row is taken: the plant may wait for the command that follows from it
         starts = [each.start for each in rows]
         first = max(self._from, *starts)
         if self._waiting:
             if not self._begins(first):
+                self._skip_what_is_over()
                 return
             first = max(self._from, first)
             self._waiting = False
@@ -117,6 +119,7 @@ class PiFeedback(ManagedNode):
         self._report()
 
     def tick(self, tick: int) -> None:
+        self._yield_to_rival()
         self._fill(tick - self.timer.missed)
         rows = self.feedforward.rows
         if self._waiting:
@@ -340,19 +343,26 @@ class PiFeedback(ManagedNode):
             self._saturated_ticks = 0
         self._newest = first + count - 1, command[-1:], feedback[-1:]
         if self._rivals.listening:
-            if self.settings.rival == "silent" and self._rival_active:
-                self._yield()
-                return
             self._rivals.sent(self.command.with_times(first, command))
         self.feedback.send(first, feedback)  # first: a node killed after the command could not send it any more
         self.command.send(first, command)
 
-    def _yield(self) -> None:
-        """Publish nothing more until the other publisher is silent; then take over from what is applied."""
+    def _yield_to_rival(self) -> None:
+        """Publish nothing more while another node publishes `command`, where the parameter rival asks for that."""
+        if self._waiting or self.settings.rival != "silent" or not self._rival_active:
+            return
         self._newest, self._waiting = None, True
-        self._takeover.forget()
+        self._takeover.forget()  # later it begins from what is applied
         if self._waking is not None:
             self._waking.reset()
+        self.counts["faults"] += 1
+        self.warn(RIVAL, f"{RIVAL}: nothing is published until it is silent")
+
+    def _skip_what_is_over(self) -> None:
+        """Drop the rows whose command the plant has received from others; only the newest measurement may wait for one."""
+        if self.measurement is not None and self.measurement.rows.end:
+            for signal in self.inputs:
+                signal.rows.skip_to(self.measurement.rows.end - 1)
 
 
 def _compiled(description: PI, axes: int) -> RunningPI:

@@ -473,12 +473,46 @@ def test_rival_on_the_command_is_a_fault(loop, reaction):
     loop.watcher.check()
 
 
+@pytest.mark.parametrize("ahead", [1, 2, 5])
+def test_loop_goes_on_at_the_tick_that_the_plant_waits_for(bench, domain, tmp_path, ahead):
+    """After a rival that had brought the plant some ticks further: none of them is left to nobody."""
+    loop = Loop(bench, domain, "lockstep", tmp_path, rival="silent")
+    try:
+        loop.until(loop.tracks)
+        sender = loop.sender("command")
+        loop.watcher.foreign.add((9.123,))
+        sent = {}  # the same rows until the feedback has begun anew
+
+        def rows():
+            first = sent.setdefault("first", round(loop.now() / PERIOD) + 1)
+            return np.array([[(first + row) * PERIOD, 9.123] for row in range(ahead)])
+
+        def swing():
+            if not loop.feedback._waiting:
+                sent.clear()
+            sender.send(rows())
+
+        swinging = bench.probe.create_timer(0.01, swing)
+        loop.until(lambda: loop.feedback._waiting and loop.says(RIVAL))
+        swinging.cancel()
+        bench.probe.destroy_publisher(sender.publisher)
+        loop.until(loop.runs)
+        loop.until(loop.tracks)
+        loop.go_on(20)
+        loop.watcher.check()
+    finally:
+        loop.close()
+
+
 def test_second_feedback_waits_while_the_first_one_runs(loop):
     loop = loop(rival="warn")
     second = loop.bench.add(lambda **options: PiFeedback("second", **options), **{**loop.settings, "rival": "safe"})
     loop.until(lambda: loop.bench.says("second", RIVAL))
     assert second._newest is None
+    loop.until(lambda: all(signal.rows.joined for signal in second.inputs))
     loop.go_on()
+    if loop.schedule == "lockstep":  # what the first one has answered does not pile up
+        assert max(signal.rows.available for signal in second.inputs) < 20
     loop.until(loop.tracks)
     loop.watcher.check()
 
