@@ -20,8 +20,6 @@ from hyst_control.effects.effect import Effect, Parameter, RecordCheck, Surround
 
 C = c_texts(__file__)
 
-HELD = (2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # Numbers of samples that are tried
-
 ROUNDINGS = {"nearest": 0.0, "down": 1.0, "up": 2.0, "toward zero": 3.0, "midway": 4.0}
 """Manners of rounding to a quantization step, by the number that a model file has; midway: down, to half a step above its multiple."""
 
@@ -114,8 +112,8 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Samples, phase, step and manner of rounding; the value grid's steps are those that the record suggests."""
     reach = max(around.command[1] - around.command[0], 1e-9)
     return (
-        Parameter("samples", "", 1.0, tuple(float(held) for held in HELD), 1.0, 20.0, 3.0),
-        Parameter("phase", "", 0.0, (0.0,), 0.0, 20.0, 1.0, told=False),
+        Parameter("samples", "", 1.0, (2.0, 8.0), 1.0, 1000.0, 3.0),
+        Parameter("phase", "", 0.0, (0.0,), 0.0, 1000.0, 1.0, told=False),
         Parameter(
             "step", "command", 0.0, (0.002 * reach, 0.01 * reach, 0.05 * reach), 0.0, 0.25 * reach, 0.01 * reach, suggested=True
         ),
@@ -124,13 +122,13 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def variants(around: Surroundings) -> tuple[Values, ...]:
-    """A hold over every number of samples, begun at every one of them; or a value grid, rounded to in every manner."""
+    """The holds that the record speaks for; or a value grid, rounded to in every manner."""
     crosses = around.command[0] < 0.0 < around.command[1]
     lattices = [
         {"samples": 1.0, "phase": 0.0, "rounding": value} for name, value in ROUNDINGS.items() if crosses or name != "toward zero"
     ]
     holds = [
-        {"samples": float(held), "phase": float(phase), "step": 0.0, "rounding": 0.0} for held in HELD for phase in range(held)
+        {"samples": float(samples), "phase": float(phase), "step": 0.0, "rounding": 0.0} for samples, phase in around.holds
     ]
     return (*lattices, *holds)
 

@@ -68,6 +68,8 @@ class Surroundings:
     # Of the nominal mechanics, 1/s, where these drive the axes together: real ones, and one of every conjugate pair, in order
     # of size
     poles: tuple[complex, ...] = ()
+    # Holds of the command that what the nominal model leaves speaks for: number of samples, and the first one that is taken
+    holds: tuple[tuple[int, int], ...] = ()
 
     @property
     def stroke(self) -> float:

@@ -96,7 +96,8 @@ class PiFeedback(ManagedNode):
         first = max(self._from, *starts)
         if self._waiting:
             if not self._begins(first):
-                self._skip_what_is_over()
+                if self._rival_active:
+                    self._skip_what_is_over()
                 return
             first = max(self._from, first)
             self._waiting = False

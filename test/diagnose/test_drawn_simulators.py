@@ -84,10 +84,11 @@ def test_a_delay_of_any_length_is_a_delay(rows):
     assert values_of(found, "delay")["tau"] == pytest.approx(rows / RATE, rel=0.02)
 
 
-def test_a_hold_that_does_more_than_to_delay_is_a_hold():
+@pytest.mark.parametrize("samples", [9, 10, 37])
+def test_a_hold_that_does_more_than_to_delay_is_a_hold(samples):
     command = np.interp(TIME, np.linspace(0.0, TIME[-1], 30), np.random.default_rng(4).uniform(10.0, 90.0, 30))
-    held = command[np.arange(ROWS) // 10 * 10]
-    assert values_of(diagnosed(command, slow(held, 1 / RATE, 0.1, 10.0), slow, LAG), "dac_hold")["samples"] == 10
+    held = command[np.arange(ROWS) // samples * samples]
+    assert values_of(diagnosed(command, slow(held, 1 / RATE, 0.1, 10.0), slow, LAG), "dac_hold")["samples"] == samples
 
 
 def test_a_gain_may_drift_by_half():

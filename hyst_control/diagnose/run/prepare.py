@@ -20,6 +20,7 @@ from hyst_control.diagnose.model_error.baseline import Baseline
 from hyst_control.diagnose.noise.white import noise_between_periods, noise_of
 from hyst_control.diagnose.problem.coefficient_prior import pinned, scatter_of, within_own_error
 from hyst_control.diagnose.problem.problem import Problem
+from hyst_control.diagnose.record_checks.command_holds import command_holds
 from hyst_control.diagnose.record_checks.lines_in_clean import beyond_clean
 from hyst_control.diagnose.record_checks.spectral_lines import in_time, lines
 from hyst_control.diagnose.record_checks.summary import effect_found_by, lattice_of, record_evidence
@@ -92,6 +93,7 @@ class Prepared:
     findings: tuple[Finding, ...]  # Repeated samples and lattices
     # Finds the lines in the spectrum: by the effect that they suggest their frequencies, Hz. Only a search needs them
     suggested: Callable[[], Mapping[str, Sequence[float]]]
+    holds: Callable[[], Sequence[tuple[int, int]]]  # Finds the holds of the command that the residual speaks for
     stated: Annotated[Array, "A"]  # Noise that the model states, rms, measurement unit
     floor: float  # Rms that an effect must take off to be worth naming, in units of the noise
     leaves: float  # Energy that the model itself says it leaves, in noise energies
@@ -100,7 +102,7 @@ class Prepared:
 
     def members(self, sensor_side: bool) -> list[Member]:
         """List the effects to try."""
-        members = catalogue(self.problem, self.suggested(), self.without)
+        members = catalogue(self.problem, self.suggested(), self.without, self.holds())
         return [
             one
             for one in members
@@ -143,6 +145,7 @@ def prepare(
         record = [replace(seen, usual_step=float(step)) for seen, step in zip(record, steps, strict=True)]
     findings = detected(record, checks, thresholds)
     suggested = partial(_suggested, problem, linearized, none, baseline, configuration)
+    holds = partial(command_holds, linearized)
     # The first noise estimate still contained spectral leakage from the gap.
     problem = replace(with_noise(problem, problem.rows(none.residual), configuration), steps=_steps(problem, findings))
     repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
@@ -166,6 +169,7 @@ def prepare(
         tuple(record),
         tuple(findings),
         suggested,
+        holds,
         stated,
         floor,
         leaves,

@@ -14,13 +14,18 @@ from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import Parameter
 
 
-def catalogue(problem: Problem, suggested: Mapping[str, Sequence[float]], without: Sequence[str] = ()) -> list[Member]:
+def catalogue(
+    problem: Problem,
+    suggested: Mapping[str, Sequence[float]],
+    without: Sequence[str] = (),
+    holds: Sequence[tuple[int, int]] = (),
+) -> list[Member]:
     """Every realization of every effect that the record could show, on all axes of the problem alike and on every single one."""
     # suggested: by the name of an effect: frequencies (Hz) of lines in the residual's spectrum, or starts of its suggested
-    # parameter
+    # parameter; holds: of the command, as `Surroundings` has them
     count = len(problem.model.axes)
     others = 0 if problem.pieces[0].others is None else problem.pieces[0].others.shape[1]
-    surroundings = replace(problem.surroundings, axes=count + others)
+    surroundings = replace(problem.surroundings, axes=count + others, holds=tuple(holds))
     axes: list[int | None] = [None] if count == 1 else [None, *range(count)]
     commands = [piece.command for piece in problem.pieces]
     found: list[Member] = []
