@@ -73,12 +73,22 @@ def collect(found: Found, null: float, prepared: Prepared, configuration: Config
 def _moved(found: Found, stated: Annotated[Array, "A"]) -> float:
     """Rms by which the coefficients of "no effect" move the simulation, beyond the model discrepancy, as a share of the range."""
     problem, scatter = found.linearized.problem, found.linearized.scatter
-    own = np.where(scatter.companions > 0.0, 0.0, found.none.solution.z)
+    z = found.none.solution.z
+    # A zero that a coefficient moves and the session moves back is no change.
+    own = z - _session_part(found.linearized) @ z
     rows = problem.rows(found.linearized.columns @ own)
     known = known_error(problem, stated) if problem.own_spectrum is None else problem.own_spectrum.rms(problem.sigma)
     span = np.ptp(np.concatenate([piece.measurement for piece in problem.pieces]), axis=0)
     energy = np.mean(rows**2, axis=0) - known**2
     return float(np.sqrt(np.max(np.maximum(energy, 0.0) / span**2)))
+
+
+def _session_part(linearized: Linearized) -> Annotated[Array, "K K"]:
+    """Matrix from coefficients to those of the session, what is like it in the others included; 0 in the rows of the others."""
+    of_session, columns = linearized.scatter.companions > 0.0, linearized.columns
+    found = np.zeros((columns.shape[1], columns.shape[1]))
+    found[of_session] = np.linalg.lstsq(columns[:, of_session], columns, rcond=None)[0]
+    return found
 
 
 def residual_evidence(
@@ -117,11 +127,14 @@ def residual_evidence(
 def companions(
     linearized: Linearized, scored: FittedHypothesis, usual: Annotated[Array, "A 3"], temper: float
 ) -> tuple[CompanionEvidence, ...]:
-    """Measure the zero and the drift of a session as a hypothesis has them."""
-    variances = np.diag(scored.solution.covariance) / temper
+    """Measure the zero and the drift of a session as a hypothesis has them, with what its coefficients add to them or take off."""
+    count = len(scored.solution.z)
+    along = _session_part(linearized)[:, :count]
+    values = along @ scored.solution.z
+    variances = np.diag(along @ scored.solution.covariance[:count, :count] @ along.T) / temper
     effects = {effect.companion.degree: effect for effect in EFFECTS.values() if effect.companion is not None}
     found = []
-    for coefficient, z, variance in zip(linearized.scatter.coefficients, scored.solution.z, variances, strict=False):
+    for coefficient, z, variance in zip(linearized.scatter.coefficients, values, variances, strict=False):
         if coefficient.field != SessionZero.FIELD or coefficient.index[-1] not in effects:
             continue
         _, axis, degree = coefficient.index

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -263,7 +263,7 @@ def _grow(trials: Trials, orders: Sequence[int], variants: Sequence[Variant]) ->
         if order > max(orders[0], 1):
             fresh = [each for each in fresh if trials.counts(each, tried)]
         least = min(each.held_out for each in smaller.values())
-        variants = [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
+        variants = _going_on(variants, smaller)
         if order >= ALONE:
             variants = [_best_of([smaller[each] for each in variants if each in smaller]).variant]
         gains = any(_least(fresh, of) * (1.0 + MIN_GAIN) < _least(tried, of) for of in range(2))
@@ -282,6 +282,12 @@ def _grow(trials: Trials, orders: Sequence[int], variants: Sequence[Variant]) ->
     fresh = map_known(trials.grown, [(order, each, start, None) for each in others])
     table += [_row(each, trials.sample_time, trials.windows) for each in fresh]
     return _best_of(tried + [each for each in fresh if trials.counts(each, tried)]), unlimited, table
+
+
+def _going_on(variants: Sequence[Variant], smaller: Mapping[Variant, Candidate]) -> list[Variant]:
+    """The variants that are worth more states, beside the best one of those that were given them so far."""
+    least = min((smaller[each].held_out for each in variants if each in smaller), default=np.inf)
+    return [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
 
 
 def _best_of(tried: Sequence[Candidate]) -> Candidate:

@@ -154,28 +154,39 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
         trials = _grown(problem, best, frequency, new)
         for trial in trials:
             report(trial)
-        lowest = min((trial.held_out for trial in trials), default=np.inf)
-        if lowest < (1.0 - MIN_IMPROVEMENT) * best.held_out:
-            # The first of those that fit about equally well: the list runs from the plainer to the richer factor.
-            chosen = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + MIN_IMPROVEMENT))
-        else:
+        chosen = _plainest(trials, best, 1.0 - MIN_IMPROVEMENT)
+        if chosen is None:
             pairs = _with_pair(problem, best)
             for trial in pairs:
                 report(trial)
-            chosen = min([best, *pairs], key=lambda each: each.held_out)
-            if not chosen.held_out < (1.0 - PAIR_IMPROVEMENT) * best.held_out:
+            chosen = min([best, *pairs], key=lambda each: _left(each, best))
+            if not _left(chosen, best) < 1.0 - PAIR_IMPROVEMENT:
                 late, late_tried = [] if late_tried else _late_modes(problem, best), True
                 for trial in late:
                     report(trial)
-                late = [each for each in late if _replaces(each, best)]
-                if not late:
+                chosen = _plainest([each for each in late if _replaces(each, best)], best, np.inf)
+                if not chosen:
                     return best
-                lowest = min(each.held_out for each in late)
-                chosen = next(each for each in late if each.held_out <= lowest * (1.0 + MIN_IMPROVEMENT))
         poorer, best = best, chosen
         if best.structure.modes > poorer.structure.modes:
             frequency = float(np.exp(best.structure.split(best.parameters)["modes"][0, 0])) / (2 * np.pi)
             new = seen_modes(problem, best, MOST_MODES) if best.structure.modes < MOST_MODES else []
+
+
+def _left(trial: Solution, best: Solution) -> float:
+    """Mean square error on rows held out, in that of the best model so far.
+
+    The answer to steps may lie in fitted rows alone, of which the others say nothing: what falls there counts by a part, unless the
+    error rises on rows held out.
+    """
+    held_out, fitted = trial.held_out / best.held_out, trial.fitted / best.fitted
+    return held_out if held_out > 1.0 else min(held_out, 1.0 - MIN_IMPROVEMENT / PAIR_IMPROVEMENT * (1.0 - fitted))
+
+
+def _plainest(trials: Sequence[Solution], best: Solution, most: float) -> Solution | None:
+    """The first of those that fit about as well as any, from the plainer to the richer factor; None where none leaves less than `most`."""
+    lowest = min((_left(each, best) for each in trials), default=np.inf)
+    return next((each for each in trials if _left(each, best) <= lowest * (1.0 + MIN_IMPROVEMENT)), None) if lowest < most else None
 
 
 def _grown(problem: Problem, best: Solution, frequency: float, new: Sequence[tuple[float, float]]) -> list[Solution]:
@@ -205,7 +216,7 @@ def _with_pair(problem: Problem, best: Solution) -> list[Solution]:
 def _replaces(late: Solution, best: Solution) -> bool:
     """True for modes behind a delay that fit better than what growth ended with, or as well with fewer parameters."""
     simpler = late.structure.size < best.structure.size
-    return late.held_out < (1.0 + MIN_IMPROVEMENT if simpler else 1.0 - PAIR_IMPROVEMENT) * best.held_out
+    return _left(late, best) < (1.0 + MIN_IMPROVEMENT if simpler else 1.0 - PAIR_IMPROVEMENT)
 
 
 def _late_modes(problem: Problem, best: Solution) -> list[Solution]:

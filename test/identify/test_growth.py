@@ -1,0 +1,44 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Growth of a model's dynamics: which structures are given more states, and what decides on rows fitted and on rows held out."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hyst_control.identify.modal.linear_candidate import VARIANTS
+from hyst_control.identify.modal.linear_search import _going_on
+from hyst_control.identify.play.hammerstein import MIN_IMPROVEMENT, PAIR_IMPROVEMENT, _left, _plainest
+
+errors = st.floats(1e-12, 1e12)
+
+
+def trial(held_out, fitted=1.0):
+    return SimpleNamespace(held_out=held_out, fitted=fitted)
+
+
+@given(known=st.dictionaries(st.sampled_from(VARIANTS), errors), going=st.sets(st.sampled_from(VARIANTS), min_size=1))
+def test_some_variant_always_goes_on(known, going):
+    """Also where one that was given up left less, with fewer states, than any that goes on."""
+    variants = [each for each in VARIANTS if each in going]
+    left = _going_on(variants, {each: trial(error) for each, error in known.items()})
+    assert left and set(left) <= set(variants)
+    assert min(variants, key=lambda each: known.get(each, 0.0)) in left
+
+
+def test_a_fall_in_fitted_rows_alone_counts_by_a_part():
+    assert _left(trial(1.0, 0.6), trial(1.0)) == pytest.approx(1.0 - 0.4 * MIN_IMPROVEMENT / PAIR_IMPROVEMENT)
+    assert _left(trial(0.5, 0.6), trial(1.0)) == 0.5  # what falls on rows held out counts whole
+    assert _left(trial(1.01, 0.1), trial(1.0)) == 1.01  # and where it rises there, nothing else counts
+    assert _left(trial(0.98, 0.61), trial(1.0)) < 1.0 - MIN_IMPROVEMENT  # a mode that steps excite, 664 Hz behind a hysteresis
+
+
+def test_the_plainest_of_those_that_fit_alike_is_taken():
+    plain, rich, poor = trial(0.91), trial(0.9), trial(0.99)
+    assert _plainest([plain, rich, poor], trial(1.0), 0.97) is plain
+    assert _plainest([poor, rich], trial(1.0), 0.97) is rich
+    assert _plainest([poor], trial(1.0), 0.97) is None and _plainest([], trial(1.0), 0.97) is None
