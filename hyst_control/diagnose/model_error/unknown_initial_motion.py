@@ -5,6 +5,8 @@
 Where the nominal dynamics ringing freely explain most of what differs, their states are free in every hypothesis. Baseline records may
 begin amid a motion as well. Those of the same command carry it over with all else that the model lacks, and the states are those of the
 difference. Beside others it is subtracted from all records before: a state that is fitted to one record with an effect takes a part of it.
+Behind a delay the first rows of such a record answer commands from before it, and do not count. Neither do those in which the motion dies
+away, where they are few: an effect that is looked for may begin amid a motion of its own, of which nothing is known.
 """
 
 from __future__ import annotations
@@ -15,12 +17,16 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_filter import LinearFilter
+from hyst_control.chain.linear.linear_stages import Delay
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.model_error.same_command import matching
 from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedError
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.identify.assess.free_motion import ROWS, ending_dynamics, free_motion, moves_already, states_of
 
+DIED_AWAY = 1e-3  # Share of a motion that is left where it has died away
+FEW = 0.1  # Share of a record's rows that may go without counting
+STANDS_OUT = 8.0  # Standard deviations of later errors beyond which an early one shows that a record does not begin at rest
 SMALLEST = 1e-6  # Size of a direction, in that of the largest one, under which it is left out
 
 
@@ -28,13 +34,30 @@ def beside_clean(problem: Problem, clean: Problem, settings: BaselineSettings) -
     """Both problems with the motions that their records begin amid as something known, or as a session effect."""
     if all(_begin_together(piece, clean, settings) for piece in problem.pieces):
         return with_initial_motion(problem, without_initial_motion(clean) is not clean), clean
-    return without_initial_motion(problem), without_initial_motion(clean)
+    return without_initial_motion(from_rest(problem)), without_initial_motion(from_rest(clean))
 
 
 def _begin_together(piece: Piece, clean: Problem, settings: BaselineSettings) -> bool:
     """True where a baseline record has the same command from the first row on."""
     found = matching(piece.command, clean.pieces, settings.same_command, settings.overlap)
     return any(match.shift == 0 for match in found)
+
+
+def from_rest(problem: Problem) -> Problem:
+    """The problem without the rows in which records that begin amid a motion show more of what was before them than of themselves."""
+    dynamics = ending_dynamics(problem.model, problem.sample_time, problem.hold)
+    if dynamics is None:
+        return problem
+    delays = [float(np.max(stage.tau)) for stage in problem.model.chain.stages if isinstance(stage, Delay)]
+    late = int(np.ceil(sum(delays) / problem.sample_time - SMALLEST))
+    slowest = float(np.max(np.abs(np.linalg.eigvals(dynamics.a))))
+    still = late + np.log(DIED_AWAY) / np.log(slowest) if 0.0 < slowest < 1.0 else np.inf
+    pieces = []
+    for piece, error in zip(problem.pieces, _errors(problem), strict=True):
+        if skipped := _rows_before_rest(dynamics, piece, error, late, still):
+            piece = replace(piece, keep=piece.mask & (np.arange(len(piece.command)) >= piece.first + skipped))
+        pieces.append(piece)
+    return problem if all(a is b for a, b in zip(pieces, problem.pieces, strict=True)) else replace(problem, pieces=tuple(pieces))
 
 
 def with_initial_motion(problem: Problem, everywhere: bool = False) -> Problem:
@@ -72,6 +95,19 @@ def without_initial_motion(problem: Problem) -> Problem:
             piece = replace(piece, measurement=piece.measurement - moved, read=piece.readings)
         pieces.append(piece)
     return problem if all(a is b for a, b in zip(pieces, problem.pieces, strict=True)) else replace(problem, pieces=tuple(pieces))
+
+
+def _rows_before_rest(dynamics: LinearFilter, piece: Piece, error: Array, late: int, still: float) -> int:
+    """Rows of a record that do not count for what was before it; late: rows of a delay, still: until the motion has died away."""
+    dies = still <= FEW * len(error)
+    if dies:
+        moved = np.abs(np.diff(piece.command[piece.first :], axis=0)).sum(axis=1)
+        dies = moved[int(still) :].sum() >= (1.0 - 2.0 * FEW) * moved.sum()
+    if dies:  # an effect that is looked for may hide that the dynamics ring
+        first, rest = error[: int(still)], error[int(still) :]
+        if np.any(np.abs(first - rest.mean(axis=0)).max(axis=0) > STANDS_OUT * rest.std(axis=0)):
+            return int(still)
+    return late if late < len(error) and _states(dynamics, piece, error) is not None else 0
 
 
 def _errors(problem: Problem) -> list[Array]:

@@ -112,7 +112,8 @@ def _nearest(linearized: Linearized, left: Array, axis: int) -> list[int]:
     while step:
         best = max((n for n in (best, best - step, best + step) if 2 <= n <= _longest(commands)), key=taken_off)
         step //= 2
-    return [n for n in (best, best - 1, best + 1) if n >= 2]
+    around = 1 + best // 32  # a long one is known less well
+    return [n for n in range(best - around, best + around + 1) if n >= 2]
 
 
 def _rippled(commands: Sequence[Array], seen: Sequence[Array], response: Array) -> list[int]:

@@ -72,7 +72,7 @@ def collect(found: Found, null: float, prepared: Prepared, configuration: Config
 
 def _moved(found: Found, stated: Annotated[Array, "A"]) -> float:
     """Rms by which the coefficients of "no effect" move the simulation, beyond the model discrepancy, as a share of the range."""
-    problem, scatter = found.linearized.problem, found.linearized.scatter
+    problem = found.linearized.problem
     z = found.none.solution.z
     # A zero that a coefficient moves and the session moves back is no change.
     own = z - _session_part(found.linearized) @ z
