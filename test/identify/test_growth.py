@@ -6,10 +6,14 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
+import hyst_control as hc
+from hyst_control.chain.linear.linear_stages import LinearStage
 from hyst_control.identify.modal.linear_candidate import VARIANTS
 from hyst_control.identify.modal.linear_search import _going_on
 from hyst_control.identify.play.hammerstein import MIN_IMPROVEMENT, PAIR_IMPROVEMENT, _left, _plainest
@@ -42,3 +46,24 @@ def test_the_plainest_of_those_that_fit_alike_is_taken():
     assert _plainest([plain, rich, poor], trial(1.0), 0.97) is plain
     assert _plainest([poor, rich], trial(1.0), 0.97) is rich
     assert _plainest([poor], trial(1.0), 0.97) is None and _plainest([], trial(1.0), 0.97) is None
+
+
+def test_a_motion_of_which_a_record_shows_little_is_left_to_the_drift():
+    """A slow pole and a drift would share the static gain as the noise has it: a lag of 2.5 s, 3 % of the motion, in 3 s."""
+    rate, random = 1000.0, np.random.default_rng(3)
+    time = np.arange(3000) / rate
+    ends = [0, 112, 8, 100, 18, 84, 30, 70, 50, *random.uniform(10.0, 90.0, 12)]
+    command = np.interp(time, np.linspace(0.02, 3.0, len(ends)), ends)
+    inner = 0.07 * command
+    for threshold, weight in ((3.0, 0.01), (11.0, 0.012), (24.0, 0.01), (40.0, 0.008)):
+        state, rows = 0.0, np.empty(len(command))
+        for row, value in enumerate(command):
+            rows[row] = state = max(value - threshold, min(value + threshold, state))
+        inner = inner + weight * rows
+    share, fast = 1.0 / (2.5 * rate), 0.25
+    fast_rows = lfilter([0.0, fast], [1.0, fast - 1.0], inner)
+    measured = fast_rows + 0.03 * lfilter([0.0, share], [1.0, share - 1.0], inner) + 2e-3 * random.standard_normal(len(command))
+    model = hc.identify(hc.from_arrays(command, measured, rate, hold="zoh"), family="hapi", verbose=False)
+    linear = [stage for stage in model.chain.stages if isinstance(stage, LinearStage)]
+    poles = np.concatenate([np.linalg.eigvals(system.A) for stage in linear for system in stage.systems(1)] or [np.zeros(0)])
+    assert np.all(np.abs(poles) > 0.99 * 6.0 / 3.0)

@@ -59,6 +59,16 @@ def test_facts_of_a_record_are_notes():
     assert names(COMMAND[200:], MEASURED[:-200])[1] == {"late_measurement"}
 
 
+def test_a_copy_of_the_command_shows_no_time():
+    """Beside a model with a lag a copy is early, or another rate fits better: neither is so."""
+
+    def simulate(command, step):
+        return answer(command[:, 0], step, 8e-3)[:, None]
+
+    beside = {"simulate": simulate, "simulated": simulate(COMMAND[:, None], STEP)}
+    assert names(COMMAND, 0.1 * COMMAND + NOISE, **beside) == [set(), {"copied_command"}]
+
+
 def test_a_measurement_that_is_early_is_told_in_milliseconds():
     [finding] = examined([trial(COMMAND[:-30], MEASURED[30:])])[0]
     # The lag of 4 ms hides a part of it.

@@ -37,6 +37,7 @@ MOST_PAIRS = 4  # Largest number of modes of G, where the further ones come with
 SEEN_ROWS = 16_000  # Rows in which vector fitting looks for modes
 SPACING, FOLLOWED = 1.6, 2
 """Ratio of the frequencies at which a single mode is looked for, and how many of them are starts."""
+SHOWN = 6.0  # Time constants that the longest record shows of the slowest pole
 MIN_IMPROVEMENT = 0.03  # A factor of G is kept when it lowers the held-out mean square error by more than this fraction
 PAIR_IMPROVEMENT = 0.12  # The same for a mode with a pair of zeros, which has four parameters
 
@@ -130,8 +131,8 @@ def default_operators(
 def choose_structure(problem: Problem, given: Structure | None, report: Callable[[Solution], object] = lambda _: None) -> Solution:
     """Grow G factor by factor as long as the held-out error falls, by none whose poles lie beyond what the records excite."""
     sample_time = min(window.sample_time for window in problem.windows)
-    # A pole whose time constant exceeds the longest record is not told from a drift.
-    slowest = min(each.share / (len(each.command) * each.sample_time) for each in problem.windows)
+    # A pole of which the longest record shows fewer time constants is not told from a drift.
+    slowest = SHOWN * min(each.share / (len(each.command) * each.sample_time) for each in problem.windows)
     plain = Structure(pace=pace(sample_time), highest=REACH * excited_band(problem.windows), slowest=slowest)
     best = solve(problem, plain, np.zeros(0))
     if given is not None:
