@@ -112,8 +112,8 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Samples, phase, step and manner of rounding; the value grid's steps are those that the record suggests."""
     reach = max(around.command[1] - around.command[0], 1e-9)
     return (
-        Parameter("samples", "", 1.0, (2.0, 8.0), 1.0, 1000.0, 3.0),
-        Parameter("phase", "", 0.0, (0.0,), 0.0, 1000.0, 1.0, told=False),
+        Parameter("samples", "", 1.0, (2.0, 8.0), 1.0, 128.0, 3.0),
+        Parameter("phase", "", 0.0, (0.0,), 0.0, 127.0, 1.0, told=False),
         Parameter(
             "step", "command", 0.0, (0.002 * reach, 0.01 * reach, 0.05 * reach), 0.0, 0.25 * reach, 0.01 * reach, suggested=True
         ),
@@ -122,7 +122,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def variants(around: Surroundings) -> tuple[Values, ...]:
-    """The holds that the record speaks for; or a value grid, rounded to in every manner."""
+    """Holds estimated from the gap; or a quantization step, with each manner of rounding."""
     crosses = around.command[0] < 0.0 < around.command[1]
     lattices = [
         {"samples": 1.0, "phase": 0.0, "rounding": value} for name, value in ROUNDINGS.items() if crosses or name != "toward zero"

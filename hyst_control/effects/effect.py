@@ -68,7 +68,7 @@ class Surroundings:
     # Of the nominal mechanics, 1/s, where these drive the axes together: real ones, and one of every conjugate pair, in order
     # of size
     poles: tuple[complex, ...] = ()
-    # Holds of the command that what the nominal model leaves speaks for: number of samples, and the first one that is taken
+    # Candidates for a hold of the command, estimated from the gap: number of samples, and phase
     holds: tuple[tuple[int, int], ...] = ()
 
     @property

@@ -97,7 +97,7 @@ class PiFeedback(ManagedNode):
         if self._waiting:
             if not self._begins(first):
                 if self._rival_active:
-                    self._skip_what_is_over()
+                    self._skip_answered_rows()
                 return
             first = max(self._from, first)
             self._waiting = False
@@ -359,8 +359,8 @@ class PiFeedback(ManagedNode):
         self.counts["faults"] += 1
         self.warn(RIVAL, f"{RIVAL}: nothing is published until it is silent")
 
-    def _skip_what_is_over(self) -> None:
-        """Drop the rows whose command the plant has received from others; only the newest measurement may wait for one."""
+    def _skip_answered_rows(self) -> None:
+        """Drop the rows that another publisher has answered: only the newest measurement still needs a command."""
         if self.measurement is not None and self.measurement.rows.end:
             for signal in self.inputs:
                 signal.rows.skip_to(self.measurement.rows.end - 1)

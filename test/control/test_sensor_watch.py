@@ -235,7 +235,7 @@ def test_a_loop_that_is_well_has_no_fault(amplitude, frequency, shape, vibration
 @pytest.mark.xfail(strict=True, reason="at its crest the measurement stays within 2 % of the error for the frozen time")
 @pytest.mark.parametrize(("vibration", "at"), [(0.5625, 2.0), (0.6, 0.5), (0.5, 3.0)])
 def test_a_slow_loop_that_is_shaken_slowly_is_well(vibration, at):
-    """The disturbance takes off by chance what the command adds: known fault, a stop where nothing is wrong."""
+    """Known fault, a false stop: for a while the disturbance compensates the motion of the command."""
     kp, ki = SLOW_LOOP
     shaken = lambda time: vibration * np.sin(2 * np.pi * at * time) + 0.5 * (time > 1.0)  # noqa: E731 one line says it
     assert set(run(2.0, lambda time: np.full_like(time, 4.0), shaken, kp=kp, ki=ki)[1]) == {""}

@@ -13,7 +13,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
-from hyst_control.diagnose.record_checks.command_holds import command_holds, impulse_response
+from hyst_control.diagnose.search.command_holds import command_holds, impulse_response
 from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.model_file import Model
 

@@ -475,7 +475,7 @@ def test_rival_on_the_command_is_a_fault(loop, reaction):
 
 @pytest.mark.parametrize("ahead", [1, 2, 5])
 def test_loop_goes_on_at_the_tick_that_the_plant_waits_for(bench, domain, tmp_path, ahead):
-    """After a rival that had brought the plant some ticks further: none of them is left to nobody."""
+    """A rival has advanced the plant by some ticks; then the feedback computes the command that the plant needs next."""
     loop = Loop(bench, domain, "lockstep", tmp_path, rival="silent")
     try:
         loop.until(loop.tracks)
@@ -511,7 +511,7 @@ def test_second_feedback_waits_while_the_first_one_runs(loop):
     assert second._newest is None
     loop.until(lambda: all(signal.rows.joined for signal in second.inputs))
     loop.go_on()
-    if loop.schedule == "lockstep":  # what the first one has answered does not pile up
+    if loop.schedule == "lockstep":  # rows that the first feedback has answered are dropped
         assert max(signal.rows.available for signal in second.inputs) < 20
     loop.until(loop.tracks)
     loop.watcher.check()

@@ -5,8 +5,8 @@
 Where the nominal dynamics ringing freely explain most of what differs, their states are free in every hypothesis. Baseline records may
 begin amid a motion as well. Those of the same command carry it over with all else that the model lacks, and the states are those of the
 difference. Beside others it is subtracted from all records before: a state that is fitted to one record with an effect takes a part of it.
-Behind a delay the first rows of such a record answer commands from before it, and do not count. Neither do those in which the motion dies
-away, where they are few: an effect that is looked for may begin amid a motion of its own, of which nothing is known.
+The first rows of such a record, as many as the delay has, respond to commands from before the record and are skipped. If the free motion
+decays within a tenth of the record, all rows until then are skipped: the initial state of an effect under test is unknown, too.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.identify.assess.free_motion import ROWS, ending_dynamics, free_motion, moves_already, states_of
 
 DIED_AWAY = 1e-3  # Share of a motion that is left where it has died away
-FEW = 0.1  # Share of a record's rows that may go without counting
-STANDS_OUT = 8.0  # Standard deviations of later errors beyond which an early one shows that a record does not begin at rest
+MAX_SKIPPED = 0.1  # Maximum share of a record's rows that are skipped
+EARLY_ERROR = 8.0  # Standard deviations of later errors: early error from which a record does not begin at rest
 SMALLEST = 1e-6  # Size of a direction, in that of the largest one, under which it is left out
 
 
@@ -34,7 +34,7 @@ def beside_clean(problem: Problem, clean: Problem, settings: BaselineSettings) -
     """Both problems with the motions that their records begin amid as something known, or as a session effect."""
     if all(_begin_together(piece, clean, settings) for piece in problem.pieces):
         return with_initial_motion(problem, without_initial_motion(clean) is not clean), clean
-    return without_initial_motion(from_rest(problem)), without_initial_motion(from_rest(clean))
+    return without_initial_motion(without_first_rows(problem)), without_initial_motion(without_first_rows(clean))
 
 
 def _begin_together(piece: Piece, clean: Problem, settings: BaselineSettings) -> bool:
@@ -43,8 +43,8 @@ def _begin_together(piece: Piece, clean: Problem, settings: BaselineSettings) ->
     return any(match.shift == 0 for match in found)
 
 
-def from_rest(problem: Problem) -> Problem:
-    """The problem without the rows in which records that begin amid a motion show more of what was before them than of themselves."""
+def without_first_rows(problem: Problem) -> Problem:
+    """Skip the first rows of records that do not begin at rest: those that respond to commands from before the record."""
     dynamics = ending_dynamics(problem.model, problem.sample_time, problem.hold)
     if dynamics is None:
         return problem
@@ -98,14 +98,14 @@ def without_initial_motion(problem: Problem) -> Problem:
 
 
 def _rows_before_rest(dynamics: LinearFilter, piece: Piece, error: Array, late: int, still: float) -> int:
-    """Rows of a record that do not count for what was before it; late: rows of a delay, still: until the motion has died away."""
-    dies = still <= FEW * len(error)
+    """Number of first rows to skip; late: rows of the delay, still: rows until the free motion has decayed."""
+    dies = still <= MAX_SKIPPED * len(error)
     if dies:
         moved = np.abs(np.diff(piece.command[piece.first :], axis=0)).sum(axis=1)
-        dies = moved[int(still) :].sum() >= (1.0 - 2.0 * FEW) * moved.sum()
-    if dies:  # an effect that is looked for may hide that the dynamics ring
+        dies = moved[int(still) :].sum() >= (1.0 - 2.0 * MAX_SKIPPED) * moved.sum()
+    if dies:  # also where an effect hides the free motion of the nominal dynamics
         first, rest = error[: int(still)], error[int(still) :]
-        if np.any(np.abs(first - rest.mean(axis=0)).max(axis=0) > STANDS_OUT * rest.std(axis=0)):
+        if np.any(np.abs(first - rest.mean(axis=0)).max(axis=0) > EARLY_ERROR * rest.std(axis=0)):
             return int(still)
     return late if late < len(error) and _states(dynamics, piece, error) is not None else 0
 

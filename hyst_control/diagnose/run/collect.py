@@ -74,7 +74,7 @@ def _moved(found: Found, stated: Annotated[Array, "A"]) -> float:
     """Rms by which the coefficients of "no effect" move the simulation, beyond the model discrepancy, as a share of the range."""
     problem = found.linearized.problem
     z = found.none.solution.z
-    # A zero that a coefficient moves and the session moves back is no change.
+    # A change of the mean that the sensor offset compensates is no change of the simulation.
     own = z - _session_part(found.linearized) @ z
     rows = problem.rows(found.linearized.columns @ own)
     known = known_error(problem, stated) if problem.own_spectrum is None else problem.own_spectrum.rms(problem.sigma)
@@ -84,7 +84,7 @@ def _moved(found: Found, stated: Annotated[Array, "A"]) -> float:
 
 
 def _session_part(linearized: Linearized) -> Annotated[Array, "K K"]:
-    """Matrix from coefficients to those of the session, what is like it in the others included; 0 in the rows of the others."""
+    """Project all coefficients onto the session effects: a matrix, whose rows of other coefficients are 0."""
     of_session, columns = linearized.scatter.companions > 0.0, linearized.columns
     found = np.zeros((columns.shape[1], columns.shape[1]))
     found[of_session] = np.linalg.lstsq(columns[:, of_session], columns, rcond=None)[0]
@@ -127,7 +127,7 @@ def residual_evidence(
 def companions(
     linearized: Linearized, scored: FittedHypothesis, usual: Annotated[Array, "A 3"], temper: float
 ) -> tuple[CompanionEvidence, ...]:
-    """Measure the zero and the drift of a session as a hypothesis has them, with what its coefficients add to them or take off."""
+    """Sensor offset and drift under a hypothesis, including the part that its coefficients contribute."""
     count = len(scored.solution.z)
     along = _session_part(linearized)[:, :count]
     values = along @ scored.solution.z

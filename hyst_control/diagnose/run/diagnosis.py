@@ -20,7 +20,7 @@ from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
 from hyst_control.diagnose.model_error.baseline import Baseline, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.model_error.between_periods import by_periods, gain_over_time
 from hyst_control.diagnose.model_error.same_command import as_clean_command
-from hyst_control.diagnose.model_error.unknown_initial_motion import beside_clean, from_rest, with_initial_motion
+from hyst_control.diagnose.model_error.unknown_initial_motion import beside_clean, with_initial_motion, without_first_rows
 from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_unit, split
 from hyst_control.diagnose.record_checks.command_roughness import as_recorded, roughness_evidence, with_commands
@@ -177,13 +177,13 @@ def with_clean(
                 part = as_clean_command(part, clean[index], configuration.baseline)
         known = part
         if clean is None:
-            part = with_initial_motion(from_rest(part))
+            part = with_initial_motion(without_first_rows(part))
         else:
             part, clean[index] = beside_clean(part, clean[index], configuration.baseline)
         if part is not known:
             notes.append(
-                f"{', '.join(part.model.axes)}: a record begins amid a motion: rows that answer what was before it do not count, "
-                "or the state of the dynamics is estimated along"
+                f"{', '.join(part.model.axes)}: a record does not begin at rest: its first rows are skipped, "
+                "or the initial state of the dynamics is estimated"
             )
         beside = _beside(part, clean[index] if clean else None, configuration)
         if bare and (beside is None or not beside.carried):

@@ -20,12 +20,12 @@ from hyst_control.diagnose.model_error.baseline import Baseline
 from hyst_control.diagnose.noise.white import noise_between_periods, noise_of
 from hyst_control.diagnose.problem.coefficient_prior import pinned, scatter_of, within_own_error
 from hyst_control.diagnose.problem.problem import Problem
-from hyst_control.diagnose.record_checks.command_holds import command_holds
 from hyst_control.diagnose.record_checks.lines_in_clean import beyond_clean
 from hyst_control.diagnose.record_checks.spectral_lines import in_time, lines
 from hyst_control.diagnose.record_checks.summary import effect_found_by, lattice_of, record_evidence
 from hyst_control.diagnose.search.candidate import Member
 from hyst_control.diagnose.search.catalogue import catalogue
+from hyst_control.diagnose.search.command_holds import command_holds
 from hyst_control.diagnose.search.fit import Linearized, Solution, fit
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.effects.effect import PLACES, RecordCheck
@@ -93,7 +93,7 @@ class Prepared:
     findings: tuple[Finding, ...]  # Repeated samples and lattices
     # Finds the lines in the spectrum: by the effect that they suggest their frequencies, Hz. Only a search needs them
     suggested: Callable[[], Mapping[str, Sequence[float]]]
-    holds: Callable[[], Sequence[tuple[int, int]]]  # Finds the holds of the command that the residual speaks for
+    holds: Callable[[], Sequence[tuple[int, int]]]  # Estimates holds of the command from the gap
     stated: Annotated[Array, "A"]  # Noise that the model states, rms, measurement unit
     floor: float  # Rms that an effect must take off to be worth naming, in units of the noise
     leaves: float  # Energy that the model itself says it leaves, in noise energies

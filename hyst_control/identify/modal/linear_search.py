@@ -263,7 +263,7 @@ def _grow(trials: Trials, orders: Sequence[int], variants: Sequence[Variant]) ->
         if order > max(orders[0], 1):
             fresh = [each for each in fresh if trials.counts(each, tried)]
         least = min(each.held_out for each in smaller.values())
-        variants = _going_on(variants, smaller)
+        variants = _variants_to_grow(variants, smaller)
         if order >= ALONE:
             variants = [_best_of([smaller[each] for each in variants if each in smaller]).variant]
         gains = any(_least(fresh, of) * (1.0 + MIN_GAIN) < _least(tried, of) for of in range(2))
@@ -284,8 +284,8 @@ def _grow(trials: Trials, orders: Sequence[int], variants: Sequence[Variant]) ->
     return _best_of(tried + [each for each in fresh if trials.counts(each, tried)]), unlimited, table
 
 
-def _going_on(variants: Sequence[Variant], smaller: Mapping[Variant, Candidate]) -> list[Variant]:
-    """The variants that are worth more states, beside the best one of those that were given them so far."""
+def _variants_to_grow(variants: Sequence[Variant], smaller: Mapping[Variant, Candidate]) -> list[Variant]:
+    """Variants that get more states: those not fitted yet, and those near the best of the given ones; at least one."""
     least = min((smaller[each].held_out for each in variants if each in smaller), default=np.inf)
     return [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
 

@@ -37,8 +37,9 @@ MOST_PAIRS = 4  # Largest number of modes of G, where the further ones come with
 SEEN_ROWS = 16_000  # Rows in which vector fitting looks for modes
 SPACING, FOLLOWED = 1.6, 2
 """Ratio of the frequencies at which a single mode is looked for, and how many of them are starts."""
-SHOWN = 6.0  # Time constants that the longest record shows of the slowest pole
+MIN_TIME_CONSTANTS = 6.0  # Duration of the longest record, in time constants of the slowest pole
 MIN_IMPROVEMENT = 0.03  # A factor of G is kept when it lowers the held-out mean square error by more than this fraction
+EXACT = 1e-300  # Mean square error below which two fits are alike
 PAIR_IMPROVEMENT = 0.12  # The same for a mode with a pair of zeros, which has four parameters
 
 
@@ -131,8 +132,8 @@ def default_operators(
 def choose_structure(problem: Problem, given: Structure | None, report: Callable[[Solution], object] = lambda _: None) -> Solution:
     """Grow G factor by factor as long as the held-out error falls, by none whose poles lie beyond what the records excite."""
     sample_time = min(window.sample_time for window in problem.windows)
-    # A pole of which the longest record shows fewer time constants is not told from a drift.
-    slowest = SHOWN * min(each.share / (len(each.command) * each.sample_time) for each in problem.windows)
+    # A slower pole is not separable from the session's drift.
+    slowest = MIN_TIME_CONSTANTS * min(each.share / (len(each.command) * each.sample_time) for each in problem.windows)
     plain = Structure(pace=pace(sample_time), highest=REACH * excited_band(problem.windows), slowest=slowest)
     best = solve(problem, plain, np.zeros(0))
     if given is not None:
@@ -160,13 +161,13 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
             pairs = _with_pair(problem, best)
             for trial in pairs:
                 report(trial)
-            chosen = min([best, *pairs], key=lambda each: _left(each, best))
-            if not _left(chosen, best) < 1.0 - PAIR_IMPROVEMENT:
+            chosen = min([best, *pairs], key=lambda each: _relative_error(each, best))
+            if not _relative_error(chosen, best) < 1.0 - PAIR_IMPROVEMENT:
                 late, late_tried = [] if late_tried else _late_modes(problem, best), True
                 for trial in late:
                     report(trial)
                 chosen = _plainest([each for each in late if _replaces(each, best)], best, np.inf)
-                if not chosen:
+                if chosen is None:
                     return best
         poorer, best = best, chosen
         if best.structure.modes > poorer.structure.modes:
@@ -174,20 +175,27 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
             new = seen_modes(problem, best, MOST_MODES) if best.structure.modes < MOST_MODES else []
 
 
-def _left(trial: Solution, best: Solution) -> float:
-    """Mean square error on rows held out, in that of the best model so far.
+def _relative_error(trial: Solution, best: Solution) -> float:
+    """Mean square error on held-out rows, relative to that of the best model so far.
 
-    The answer to steps may lie in fitted rows alone, of which the others say nothing: what falls there counts by a part, unless the
-    error rises on rows held out.
+    The response to steps may lie in fitted rows alone. Therefore a reduction on fitted rows counts in part, unless the error on held-out
+    rows increases.
     """
-    held_out, fitted = trial.held_out / best.held_out, trial.fitted / best.fitted
+    # An exact fit leaves rounding errors, which may be 0.
+    held_out, fitted = (
+        max(one, EXACT) / max(other, EXACT) for one, other in ((trial.held_out, best.held_out), (trial.fitted, best.fitted))
+    )
     return held_out if held_out > 1.0 else min(held_out, 1.0 - MIN_IMPROVEMENT / PAIR_IMPROVEMENT * (1.0 - fitted))
 
 
 def _plainest(trials: Sequence[Solution], best: Solution, most: float) -> Solution | None:
-    """The first of those that fit about as well as any, from the plainer to the richer factor; None where none leaves less than `most`."""
-    lowest = min((_left(each, best) for each in trials), default=np.inf)
-    return next((each for each in trials if _left(each, best) <= lowest * (1.0 + MIN_IMPROVEMENT)), None) if lowest < most else None
+    """Find the first trial that fits about as well as the best one; None if none has a relative error below `most`."""
+    lowest = min((_relative_error(each, best) for each in trials), default=np.inf)
+    return (
+        next((each for each in trials if _relative_error(each, best) <= lowest * (1.0 + MIN_IMPROVEMENT)), None)
+        if lowest < most
+        else None
+    )
 
 
 def _grown(problem: Problem, best: Solution, frequency: float, new: Sequence[tuple[float, float]]) -> list[Solution]:
@@ -217,7 +225,7 @@ def _with_pair(problem: Problem, best: Solution) -> list[Solution]:
 def _replaces(late: Solution, best: Solution) -> bool:
     """True for modes behind a delay that fit better than what growth ended with, or as well with fewer parameters."""
     simpler = late.structure.size < best.structure.size
-    return _left(late, best) < (1.0 + MIN_IMPROVEMENT if simpler else 1.0 - PAIR_IMPROVEMENT)
+    return _relative_error(late, best) < (1.0 + MIN_IMPROVEMENT if simpler else 1.0 - PAIR_IMPROVEMENT)
 
 
 def _late_modes(problem: Problem, best: Solution) -> list[Solution]:

@@ -24,7 +24,7 @@ STEP = 1e-5  # Difference of neighboring parameters of a fit, which are all of o
 NAMED = 0.7
 """Parameters that make up an undetermined direction: those that take part with this share of the largest one."""
 MAX_NAMED = 4  # Parameters that a note lists
-ANY = 10.0  # Relative standard deviation from which a number may have any value
+ANY_VALUE = 10.0  # Relative standard deviation from which a number counts as unknown
 ROUNDING = 1e-12  # Share of the largest eigenvalue of a Gram matrix of unit columns below which there is rounding alone
 DIGITS = 6  # Significant digits of the factor: what correlated numbers need to cancel
 
@@ -69,11 +69,11 @@ class Uncertainty:
         spread = dict(zip(self.names, self.data_relative.tolist(), strict=True))
 
         def told(name: str) -> str:
-            return f"{name} (± {100 * spread[name]:.0f} %)" if spread[name] < ANY else f"{name} (any value)"
+            return f"{name} (± {100 * spread[name]:.0f} %)" if spread[name] < ANY_VALUE else f"{name} (any value)"
 
-        # A number that is 0 has no relative deviation. Those that may have any value come first, in the order of the chain.
+        # A number that is 0 has no relative deviation. Unknown ones come first, in the order of the chain.
         names = [name for name in self.names if spread[name] > 0.0 and any(name in direction for direction in self.undetermined)]
-        names.sort(key=lambda name: -min(spread[name], ANY))
+        names.sort(key=lambda name: -min(spread[name], ANY_VALUE))
         if not names:
             return []
         listed, more = ", ".join(map(told, names[:MAX_NAMED])), len(names) - MAX_NAMED

@@ -68,7 +68,7 @@ def _of_trial(trial: Trial) -> list[Finding]:
     if any(finding.name not in NOTES for finding in found):
         return found
     if sum(finding.name == "copied_command" for finding in found) == len(moving):
-        return found  # a copy of the command shows no time, so that a model fits it at another rate by chance
+        return found  # checks of rate and time shift need a lag in the measurement
     # A lead that grows evenly is that of the clock: no rows are lost.
     clock = any(finding.name == "clock_difference" for finding in found)
     return [*found, *(each for each in model_findings(trial, moving) if not (clock and each.name == "lost_rows"))]
