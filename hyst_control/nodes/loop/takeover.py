@@ -77,8 +77,9 @@ class Takeover:
     def _differs(self, applied: Array, sent: SentRows, close: float) -> Mask:
         """Mask (A,) of the axes whose voltage at `self.tick` is none of the commands that may be on the actuator then."""
         rows = sent.since(self.tick - math.ceil(LATE / self._node.period))
-        known = len(rows) - (sent.end - 1 - self.tick) if rows is not None else 0  # up to that tick
-        if rows is None or not 0 < known <= len(rows):
+        # Up to that tick; where the plant's tick comes before this node's, its command is still to be sent.
+        known = min(len(rows) - (sent.end - 1 - self.tick), len(rows)) if rows is not None else 0
+        if rows is None or known <= 0:
             return np.zeros(len(applied), bool)
         commanded = rows[:known, 1:]
         return np.asarray(np.abs(np.clip(applied, commanded.min(axis=0), commanded.max(axis=0)) - applied) > close)
