@@ -30,6 +30,7 @@ OPERATORS, ROWS, TURNS = 12, 2000, 9
 AT_ZERO = 0.01  # Share of the largest command up to which a record begins at 0 V
 DOUBT = 1.1
 """Factor by which the square error may be larger than that of one on its initial loading curve, or of one preceded by itself."""
+SURE = 4.0  # Factor by which every other memory has a larger square error where a record surely begins on its initial loading curve
 LITTLE, HALF = 0.9, 0.5
 """Shares of the motion behind the first visit to both extremes, from which the rows before are left out without loss."""
 HELD, MOST_LEVELS = 50, 20_000
@@ -47,6 +48,7 @@ class Memory:
 
     turns: Annotated[Array, "M"]  # Turning points (M,), V, from the farthest one to the first command
     virgin: bool = False  # Rest at 0 V
+    loading: bool = False  # Surely brought from 0 V to the first command, on the initial loading curve
     periodic: bool = False  # The record itself precedes it
 
 
@@ -65,7 +67,7 @@ def with_beginning(data: Record) -> Record:
     remaining = min(share_of_motion(data.command[:, axis], filled) for axis in axes)
     if remaining < LITTLE and all(memory.periodic for memory in memories):
         beginning = Beginning(PERIODIC, data.command, 0)
-    elif remaining >= HALF:
+    elif remaining >= HALF and not all(memory.loading or memory.virgin for memory in memories):
         beginning = Beginning(FILLED, None, filled)
     else:
         beginning = Beginning(ESTIMATED, smooth_way([memory.turns for memory in memories], data), 0)
@@ -141,9 +143,11 @@ def estimated_memory(command: Annotated[Array, "N"], measurement: Annotated[Arra
     errors = [error(memory) for memory in candidates]
     best = int(np.argmin(errors))
     period = Memory(np.append(command[turning_points(command)], command[-1]), periodic=True)
-    expected = [virgin] * at_zero + [period] * closed or [virgin]
-    likely = min(expected, key=error)
-    return likely if error(likely) <= DOUBT * errors[best] else candidates[best]
+    likely = min([*[period] * closed, virgin], key=error)
+    if error(likely) > DOUBT * errors[best]:
+        return candidates[best]
+    others = min(*errors[1:], error(period))
+    return replace(likely, loading=likely is virgin and SURE * errors[0] < others)
 
 
 def spread_rows(begin: int, end: int) -> Integers:

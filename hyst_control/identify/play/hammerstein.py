@@ -31,6 +31,8 @@ from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import largest_change, largest_size
 
 SELECTION_ROWS = 60_000
+OPERATORS, MORE_OPERATORS = 10, (20, 40)
+"""Number of play operators by which G's structure is chosen, and numbers that are tried for it, each beside the one before."""
 MIN_FOR_LOADING = 6  # Number of operators below which the first loading gets none
 PRECISION = 1e-3  # Share of the bracket to which the widening with the rate is found
 MOST_PAIRS = 4  # Largest number of modes of G, where the further ones come with zeros of their own
@@ -47,7 +49,9 @@ PAIR_IMPROVEMENT = 0.12  # The same for a mode with a pair of zeros, which has f
 class OperatorOptions(Options):
     """Options of a fit of play operators."""
 
-    operators: int = option(10, INTEGER, "number of play operators, where `thresholds` does not list them", lower=3)
+    operators: int | None = option(
+        None, INTEGER, "number of play operators; 10, or as many more as rows held out show, where nothing is given", lower=3
+    )
     thresholds: tuple[float, ...] | None = option(
         None, NUMBERS, "increasing thresholds of the play operators, in place of the default ones", unit="V", lower=0.0
     )
@@ -85,25 +89,49 @@ def axis_problem(
     return Problem(windows, operators, options.nuisance, len(records), travel / drive, drift)
 
 
-def fit_static(problem: Problem) -> tuple[Solution, float]:
-    """The weights of one axis without dynamics, and the mean square error on rows held out."""
-    chosen = solve(problem, Structure(), np.zeros(0))
-    return solve(problem, Structure(), np.zeros(0), everything=True), chosen.held_out
+def more_operators(problem: Problem, options: OperatorOptions) -> list[Operators]:
+    """Sets of more play operators for a problem, where its options leave them open."""
+    if options.operators is not None or options.thresholds is not None:
+        return []
+    kept = problem.operators
+    every = (replace(options, operators=count) for count in MORE_OPERATORS)
+    return [default_operators(problem.windows, each, one_sided=kept.one_sided, dynamic=kept.dynamic) for each in every]
 
 
-def fit_dynamic(problem: Problem, structure: Structure | None) -> tuple[Solution, float, list[Solution]]:
-    """The weights of one axis and G(s) behind them, the mean square error on rows held out, and all structures that were compared."""
+def fit_static(problem: Problem, more: Sequence[Operators] = ()) -> tuple[Operators, Solution, float]:
+    """The operators of one axis, their weights without dynamics, and the mean square error on rows held out."""
+    problem, chosen = _with_more_operators(problem, solve(problem, Structure(), np.zeros(0)), more)
+    return problem.operators, solve(problem, Structure(), np.zeros(0), everything=True), chosen.held_out
+
+
+def fit_dynamic(
+    problem: Problem, structure: Structure | None, more: Sequence[Operators] = ()
+) -> tuple[Operators, Solution, float, list[Solution]]:
+    """The operators of one axis, their weights and G(s) behind them, the mean square error on rows held out, and all structures."""
     selection = replace(problem, windows=stretches(problem.windows, SELECTION_ROWS))
     tried: list[Solution] = []
     chosen = choose_structure(selection, structure, tried.append)
     chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
+    selection, chosen = _with_more_operators(selection, chosen, more)
+    problem = replace(problem, operators=selection.operators)
     final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=3, everything=True)
     if structure is None and chosen.structure.slow_pair and not _is_determined(problem, final):
         # All rows together know the slow pair no more: it would only share the static gain with the session's drift.
         plainer = replace(chosen.structure, slow_pair=False)
         chosen = solve(selection, plainer, chosen.structure.without_slow_pair(chosen.parameters), chosen.theta, passes=20)
         final = solve(problem, plainer, chosen.parameters, chosen.theta, passes=3, everything=True)
-    return final, chosen.held_out, tried
+    return problem.operators, final, chosen.held_out, tried
+
+
+def _with_more_operators(problem: Problem, found: Solution, more: Sequence[Operators]) -> tuple[Problem, Solution]:
+    """A problem of as many operators as rows held out show, and its solution."""
+    for operators in more:
+        finer = replace(problem, operators=operators)
+        trial = solve(finer, found.structure, found.parameters, passes=12)
+        if not _relative_error(trial, found) < 1.0 - PAIR_IMPROVEMENT:
+            break
+        problem, found = finer, trial
+    return problem, found
 
 
 def default_operators(
@@ -121,10 +149,9 @@ def default_operators(
     else:
         reach = span if one_sided else span / 2
         loading = np.array([0.5, 0.85]) * highest if highest > 1.4 * reach else reach * np.array([0.9, 0.97])
-        inner = options.operators - len(loading) if options.operators >= MIN_FOR_LOADING else options.operators
-        thresholds = np.concatenate(
-            [0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, loading[: options.operators - inner]]
-        )
+        count = OPERATORS if options.operators is None else options.operators
+        inner = count - len(loading) if count >= MIN_FOR_LOADING else count
+        thresholds = np.concatenate([0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, loading[: count - inner]])
         thresholds = np.unique(np.round(thresholds, 9))
     return Operators(thresholds, one_sided, dynamic, center=0.5 * highest)
 
@@ -298,7 +325,7 @@ def fastest_parts(problem: Problem, at: Solution, *, unexplained: bool = False) 
     return sample_time, parts
 
 
-def fit_rate_dependent(problem: Problem) -> tuple[Problem, Solution, float]:
+def fit_rate_dependent(problem: Problem) -> tuple[Operators, Solution, float]:
     """The weights of one axis whose thresholds are r_i + β |du/dt|, without dynamics; β by a bounded search on the error."""
     fastest = max(largest_change(window.command) / window.sample_time for window in problem.windows)
     largest = 2.0 * float(problem.operators.thresholds[-1]) / fastest
@@ -313,5 +340,4 @@ def fit_rate_dependent(problem: Problem) -> tuple[Problem, Solution, float]:
     at = int(np.argmin(list(map_forked(lambda i: error(grid[i]), len(grid)))))
     low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
     found = minimize_scalar(error, bounds=(low, high), method="bounded", options={"xatol": PRECISION * (high - low)})
-    best = widened(float(found.x))
-    return best, *fit_static(best)
+    return fit_static(widened(float(found.x)))

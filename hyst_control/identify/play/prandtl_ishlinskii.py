@@ -28,6 +28,7 @@ from hyst_control.identify.play.hammerstein import (
     fit_dynamic,
     fit_rate_dependent,
     fit_static,
+    more_operators,
 )
 from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.gram_sums import Operators
@@ -73,7 +74,7 @@ class Play(_Operators[PlayOptions]):
 
     def fit_axis(self, records: Sequence[Record], index: int, options: PlayOptions) -> AxisFit:
         problem = axis_problem(records, index, options, one_sided=options.one_sided)
-        return axis_fit(records, index, problem.operators, *fit_static(problem), dynamics=False)
+        return axis_fit(records, index, *fit_static(problem, more_operators(problem, options)), dynamics=False)
 
 
 class _Hammerstein(_Operators[HammersteinOptions]):
@@ -86,7 +87,7 @@ class _Hammerstein(_Operators[HammersteinOptions]):
         if options.method == "paper":
             return axis_fit(records, index, *paper_hampi.fit_axis(records, index, options, dynamic=self.dynamic))
         problem = axis_problem(records, index, options, one_sided=options.one_sided, dynamic=self.dynamic)
-        return axis_fit(records, index, problem.operators, *fit_dynamic(problem, options.structure))
+        return axis_fit(records, index, *fit_dynamic(problem, options.structure, more_operators(problem, options)))
 
 
 @register
@@ -109,8 +110,7 @@ class RateDependent(_Operators[OperatorOptions]):
     Options = OperatorOptions
 
     def fit_axis(self, records: Sequence[Record], index: int, options: OperatorOptions) -> AxisFit:
-        problem, solution, held_out = fit_rate_dependent(axis_problem(records, index, options))
-        return axis_fit(records, index, problem.operators, solution, held_out, dynamics=False)
+        return axis_fit(records, index, *fit_rate_dependent(axis_problem(records, index, options)), dynamics=False)
 
 
 @register
@@ -211,7 +211,7 @@ def _structure_rows(
         {
             "axis": name,
             "structure": structure.describe(),
-            "parameters": len(numbers(np.concatenate([each.theta, each.parameters]), structure)),
+            "parameters": len(numbers(np.concatenate([solution.theta, each.parameters]), structure)),
             "held_out_nrmse": 100.0 * float(np.sqrt(each.held_out)) / span,
             "chosen": structure == solution.structure,
         }
