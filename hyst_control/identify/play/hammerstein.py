@@ -31,7 +31,7 @@ from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import largest_change, largest_size
 
 SELECTION_ROWS = 60_000
-OPERATORS, MORE_OPERATORS = 10, (20, 40)
+OPERATORS, MORE_OPERATORS = 10, (20,)
 """Number of play operators by which G's structure is chosen, and numbers that are tried for it, each beside the one before."""
 MIN_FOR_LOADING = 6  # Number of operators below which the first loading gets none
 PRECISION = 1e-3  # Share of the bracket to which the widening with the rate is found
