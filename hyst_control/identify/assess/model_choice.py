@@ -22,12 +22,12 @@ USELESS = "its simulation of the whole records explains less than a constant and
 def best_family(
     families: Sequence[str],
     identify: Callable[[str], Fit],
-    further: Callable[[Fit], Sequence[str]] = lambda fit: (),
+    further: Callable[[Fit, bool], Sequence[str]] = lambda fit, poor: (),
     explains: Callable[[Fit], bool] = lambda fit: True,
 ) -> Fit:
     """Identify every family and take the plainest of those that do best on held-out rows.
 
-    Where none of them does well, the first one that is named for the best one, and has not been tried, is tried, until one does.
+    `further` names others for the best one, knowing whether even that does poorly; the first that has not been tried is, one by one.
     """
     rows: list[TriedRow] = []
     fits: dict[str, Fit] = {}
@@ -64,7 +64,7 @@ def best_family(
     def is_poor() -> bool:
         return not useful or scored()[best()] > POOR
 
-    while is_poor() and (due := [name for name in further(fits[best()]) if name not in {row["family"] for row in rows}]):
+    while due := [name for name in further(fits[best()], is_poor()) if name not in {row["family"] for row in rows}]:
         attempt(due[0])
     scores = scored()
     limit = (1.0 + AS_GOOD) * min(scores.values())
