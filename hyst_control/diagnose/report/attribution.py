@@ -59,8 +59,10 @@ def attribute(diagnosis: Diagnosis) -> Attribution:
     found_by_checks = _without_waveform(diagnosis)
     least = diagnosis.configuration.attribution.coefficient_deviations
     named = sorted(_waveforms(diagnosis) + found_by_checks, key=_rank)
+    known = {(each.name, axis) for each in named for axis in each.axes}
+    session = [each for each in _companions(diagnosis) if known.isdisjoint((each.name, axis) for axis in each.axes)]
     return Attribution(
-        (*named, *_companions(diagnosis)),
+        (*named, *session),
         _candidates(diagnosis, found_by_checks),
         tuple(change for change in coefficient_changes(diagnosis) if change.is_certain and abs(change.deviations) > least),
     )
