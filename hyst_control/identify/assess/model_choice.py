@@ -27,7 +27,8 @@ def best_family(
 ) -> Fit:
     """Identify every family and take the plainest of those that do best on held-out rows.
 
-    `further` names others for the best one, knowing whether even that does poorly; the first that has not been tried is, one by one.
+    `further` names families to try beside the best one, given whether even that does poorly. The first one that has not been tried is
+    tried, until none is left.
     """
     rows: list[TriedRow] = []
     fits: dict[str, Fit] = {}

@@ -31,8 +31,8 @@ from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import largest_change, largest_size
 
 SELECTION_ROWS = 60_000
-OPERATORS, MORE_OPERATORS = 10, (20,)
-"""Number of play operators by which G's structure is chosen, and numbers that are tried for it, each beside the one before."""
+OPERATORS, MORE_OPERATORS = 10, 20
+"""Numbers of play operators: by which G's structure is chosen, and that are used where rows held out show so fine a hysteresis."""
 MIN_FOR_LOADING = 6  # Number of operators below which the first loading gets none
 PRECISION = 1e-3  # Share of the bracket to which the widening with the rate is found
 MOST_PAIRS = 4  # Largest number of modes of G, where the further ones come with zeros of their own
@@ -50,7 +50,7 @@ class OperatorOptions(Options):
     """Options of a fit of play operators."""
 
     operators: int | None = option(
-        None, INTEGER, "number of play operators; 10, or as many more as rows held out show, where nothing is given", lower=3
+        None, INTEGER, "number of play operators; 10, or 20 where rows held out show so fine a hysteresis", lower=3
     )
     thresholds: tuple[float, ...] | None = option(
         None, NUMBERS, "increasing thresholds of the play operators, in place of the default ones", unit="V", lower=0.0
@@ -89,23 +89,22 @@ def axis_problem(
     return Problem(windows, operators, options.nuisance, len(records), travel / drive, drift)
 
 
-def more_operators(problem: Problem, options: OperatorOptions) -> list[Operators]:
-    """Sets of more play operators for a problem, where its options leave them open."""
+def more_operators(problem: Problem, options: OperatorOptions) -> Operators | None:
+    """More play operators for a problem; None where the options list or count them."""
     if options.operators is not None or options.thresholds is not None:
-        return []
-    kept = problem.operators
-    every = (replace(options, operators=count) for count in MORE_OPERATORS)
-    return [default_operators(problem.windows, each, one_sided=kept.one_sided, dynamic=kept.dynamic) for each in every]
+        return None
+    kept, more = problem.operators, replace(options, operators=MORE_OPERATORS)
+    return default_operators(problem.windows, more, one_sided=kept.one_sided, dynamic=kept.dynamic)
 
 
-def fit_static(problem: Problem, more: Sequence[Operators] = ()) -> tuple[Operators, Solution, float]:
+def fit_static(problem: Problem, more: Operators | None = None) -> tuple[Operators, Solution, float]:
     """The operators of one axis, their weights without dynamics, and the mean square error on rows held out."""
     problem, chosen = _with_more_operators(problem, solve(problem, Structure(), np.zeros(0)), more)
     return problem.operators, solve(problem, Structure(), np.zeros(0), everything=True), chosen.held_out
 
 
 def fit_dynamic(
-    problem: Problem, structure: Structure | None, more: Sequence[Operators] = ()
+    problem: Problem, structure: Structure | None, more: Operators | None = None
 ) -> tuple[Operators, Solution, float, list[Solution]]:
     """The operators of one axis, their weights and G(s) behind them, the mean square error on rows held out, and all structures."""
     selection = replace(problem, windows=stretches(problem.windows, SELECTION_ROWS))
@@ -123,15 +122,13 @@ def fit_dynamic(
     return problem.operators, final, chosen.held_out, tried
 
 
-def _with_more_operators(problem: Problem, found: Solution, more: Sequence[Operators]) -> tuple[Problem, Solution]:
-    """A problem of as many operators as rows held out show, and its solution."""
-    for operators in more:
-        finer = replace(problem, operators=operators)
-        trial = solve(finer, found.structure, found.parameters, passes=12)
-        if not _relative_error(trial, found) < 1.0 - PAIR_IMPROVEMENT:
-            break
-        problem, found = finer, trial
-    return problem, found
+def _with_more_operators(problem: Problem, found: Solution, more: Operators | None) -> tuple[Problem, Solution]:
+    """The problem of more operators with its solution, where rows held out show them."""
+    if more is None:
+        return problem, found
+    finer = replace(problem, operators=more)
+    trial = solve(finer, found.structure, found.parameters, passes=12)
+    return (finer, trial) if _relative_error(trial, found) < 1.0 - PAIR_IMPROVEMENT else (problem, found)
 
 
 def default_operators(
