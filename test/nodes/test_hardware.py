@@ -283,5 +283,6 @@ def test_late_answer_of_physik_instrumente_is_not_taken_for_the_next_one(bench, 
         bench.until(lambda: bed.node.state == UNCONFIGURED and controller.connections == 0)
         bench.until(lambda: controller.late == 0.0)
         assert bench.call(Trigger, "pi_stage/reset", Trigger.Request()).success
-        told = pytest.approx([controller.voltage["2"]], abs=1e-9)  # as the controller writes it
-        assert bed.node.initial_command() == told  # and not the position that was asked for last
+        before, (answer,), after = controller.voltage["2"], bed.node.initial_command(), controller.voltage["2"]
+        # Not the position that was asked for last. The stage may be on its way to the command meanwhile.
+        assert min(before, after) - 1e-9 <= answer <= max(before, after) + 1e-9
