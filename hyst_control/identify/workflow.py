@@ -55,7 +55,6 @@ LONGEST_JUDGED = 2**22
 """Rows of a record, from its beginning, by which it is judged whether it is a measurement of its command: 84 s at 50 kHz."""
 
 MAX_NOTES = 5  # Lines of notes on a terminal
-CLOSE = 0.0005  # Error beside white noise, as a share of the range, up to which no further family is compared
 SHORTEST_SHARE, SHORTEST_STRETCH = 0.05, 32
 """Least length of a stretch between gaps that is used: share of the longest one, and samples."""
 
@@ -230,19 +229,16 @@ def identified(records: Sequence[Record], family: str | None = None, method: str
         fit = identify(begun, chosen[0], method, **options)
     else:
 
-        def further(best: Fit, poor: bool) -> list[str]:
-            """Families to try beside one that leaves more than noise, and beside a poor one; where that leaves noise, plainer ones."""
-            errors, axes = residuals_of(best, begun), len(begun[0].axes)
-            having = {name: each for name, each in estimators().items() if each.has(options)}
-            close = axes > 1 or leaves_noise(begun, errors, CLOSE)
-            closer = [name for name, each in having.items() if each.closer and not close]
-            if not poor:
-                return closer
+        def further(best: Fit) -> list[str]:
+            """Families to try beside a poor one: where it leaves noise, only such as are plainer."""
+            errors = residuals_of(best, begun)
             is_noise = leaves_noise(begun, errors, POOR / 100.0)
             linear = is_noise or any(each.linear for each in poorly_explained(begun, errors))
-            promising = [(name, each.second_choice) for name, each in having.items() if each.is_promising(axes, linear)]
-            quick, slow = ([name for name, is_slow in promising if is_slow == of_them] for of_them in (False, True))
-            return [*quick, *closer, *([] if is_noise else slow)]
+            return [
+                name
+                for name, each in estimators().items()
+                if each.is_promising(len(begun[0].axes), linear) and each.has(options) and not (is_noise and each.second_choice)
+            ]
 
         def explains(fit: Fit) -> bool:
             return not useless(explained_shares(begun, residuals_of(fit, begun)))

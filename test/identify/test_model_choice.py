@@ -31,20 +31,20 @@ class Stand:
         return Fit(None, {"family": name, "held_out_nrmse": [error], "parameters": [{}] * count, "records": [], "notes": []})
 
 
-def slow_too(best, poor):
-    return ["slow"] * poor
+def slow_too(best):
+    return ["slow"]
 
 
 def test_of_those_named_for_the_best_one_the_first_that_does_well_ends_the_search():
     stand = Stand(a=(2.0 * POOR, 5), quick=(0.1, 7), slow=(0.05, 20))
     named = []
 
-    def further(best, poor):
+    def further(best):
         named.append(best.report["family"])
-        return ["quick", "slow"] if poor else []
+        return ["quick", "slow"]
 
     assert best_family(["a"], stand, further).report["family"] == "quick"
-    assert stand.asked == ["a", "quick"] and named == ["a", "quick"]
+    assert stand.asked == ["a", "quick"] and named == ["a"]
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_a_second_choice_that_does_not_suit_leaves_the_first():
 def test_the_families_named_for_a_better_one_are_asked_anew():
     stand = Stand(a=(3.0 * POOR, 5), quick=(2.0 * POOR, 7), slow=(0.1, 20))
     further = {"a": ["quick", "slow"], "quick": []}  # the quick one leaves noise: the slow one could not be better
-    fit = best_family(["a"], stand, lambda best, poor: further[best.report["family"]])
+    fit = best_family(["a"], stand, lambda best: further[best.report["family"]])
     assert fit.report["family"] == "quick" and stand.asked == ["a", "quick"]
 
 

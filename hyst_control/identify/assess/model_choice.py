@@ -22,13 +22,12 @@ USELESS = "its simulation of the whole records explains less than a constant and
 def best_family(
     families: Sequence[str],
     identify: Callable[[str], Fit],
-    further: Callable[[Fit, bool], Sequence[str]] = lambda fit, poor: (),
+    further: Callable[[Fit], Sequence[str]] = lambda fit: (),
     explains: Callable[[Fit], bool] = lambda fit: True,
 ) -> Fit:
     """Identify every family and take the plainest of those that do best on held-out rows.
 
-    `further` names families to try beside the best one, given whether even that does poorly. The first one that has not been tried is
-    tried, until none is left.
+    Where none of them does well, the first one that is named for the best one, and has not been tried, is tried, until one does.
     """
     rows: list[TriedRow] = []
     fits: dict[str, Fit] = {}
@@ -65,7 +64,7 @@ def best_family(
     def is_poor() -> bool:
         return not useful or scored()[best()] > POOR
 
-    while due := [name for name in further(fits[best()], is_poor()) if name not in {row["family"] for row in rows}]:
+    while is_poor() and (due := [name for name in further(fits[best()]) if name not in {row["family"] for row in rows}]):
         attempt(due[0])
     scores = scored()
     limit = (1.0 + AS_GOOD) * min(scores.values())

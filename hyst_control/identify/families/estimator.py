@@ -45,8 +45,6 @@ class Estimator(Generic[O]):
     """Mark of the families that are compared on held-out data when none is named: its report has `held_out_nrmse`."""
     second_choice: ClassVar[bool] = False
     """Mark of the families, slower to fit, that are compared as well where none of the suggested ones does well; the same holds."""
-    closer: ClassVar[bool] = False
-    """Mark of the families that are compared as well where all others leave more of one axis than noise; the same holds."""
     frees_states: ClassVar[bool] = False  # Mark of the families whose fit estimates the state with which the dynamics begin
     Options: type[O]
 

@@ -62,7 +62,6 @@ class ModifiedHammersteinLike(Estimator[MhlOptions]):
         "delay, Madelung hysteresis beside a rate correction, and dynamics G(s), together: the curves rise and close, G(s) is stable for "
         "every parameter vector, its factors are chosen on held-out rows"
     )
-    closer = True
     Options = MhlOptions
 
     def fit(self, records: Sequence[Record], options: MhlOptions) -> Fit:

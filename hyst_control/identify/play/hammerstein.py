@@ -43,7 +43,7 @@ MIN_TIME_CONSTANTS = 6.0  # Duration of the longest record, in time constants of
 MIN_IMPROVEMENT = 0.03  # A factor of G is kept when it lowers the held-out mean square error by more than this fraction
 EXACT = 1e-300  # Mean square error below which two fits are alike
 FINER = 0.5
-"""Share of the held-out mean square error that more operators leave at most: elsewhere their weights would be free, and hide a gap."""
+"""Share of the held-out mean square error that more operators leave at most: elsewhere their weights would be nearly free."""
 PAIR_IMPROVEMENT = 0.12  # The same for a mode with a pair of zeros, which has four parameters
 
 
