@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from hashlib import blake2b
 from typing import Any
 
 from hyst_control.base import progress
@@ -24,7 +23,6 @@ LEAST = 32  # Samples from which on the beginning and the drift of a record are 
 REFITS, GAIN = 4, 0.9
 """Most repetitions of a fit to records that begin amid a motion, and the share of the energy that each leaves at most."""
 LINEAR_ROWS = 2**14  # First rows of each record to which a linear model is fitted
-_NEWEST: dict[bytes, Model] = {}  # Linear model of the records that were asked for last
 LITTLE = 0.3  # Error (% of range) above which a linear model of any order looks for a motion from before
 
 
@@ -80,22 +78,8 @@ def _fitted_amid_motion(estimator: Estimator[Any], records: Sequence[Record], op
         source = identify(early, "linear", order=dynamics.a.shape[1]).model
         found = _without_motion(estimator, records, options, found, source)
     if max(row["nrmse_own_zero"] for row in found.report["records"]) > LITTLE:
-        found = _without_motion(estimator, records, options, found, _linear_model(early))
+        found = _without_motion(estimator, records, options, found, identify(early, "linear").model)
     return found
-
-
-def _linear_model(records: Sequence[Record]) -> Model:
-    """A linear model of any order; several families that are fitted to the same records share it."""
-    digest = blake2b(repr([(data.sample_time, data.hold, data.start) for data in records]).encode())
-    for data in records:
-        digest.update(data.command.tobytes())
-        digest.update(data.measurement.tobytes())
-    known = digest.digest()
-    if known not in _NEWEST:
-        found = identify(records, "linear").model
-        _NEWEST.clear()
-        _NEWEST[known] = found
-    return _NEWEST[known]
 
 
 def _without_motion(estimator: Estimator[Any], records: Sequence[Record], options: Any, found: Fit, source: Model) -> Fit:

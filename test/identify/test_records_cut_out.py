@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -265,15 +264,3 @@ def test_no_mode_of_coupled_axes_rings_between_the_lines_of_a_command():
     fit = identify([data], "linear")
     for axis, row in enumerate(fit.report["records"]):
         assert row["nrmse_own_zero"] < 110.0 * sigma / np.ptp(noisy[:, axis])
-
-
-def test_families_that_are_fitted_to_the_same_records_share_their_linear_model(monkeypatch):
-    searched = []
-    package = sys.modules["hyst_control.identify"]
-    monkeypatch.setattr(package, "identify", lambda _, family: searched.append(family) or SimpleNamespace(model=object()))
-    rows = np.linspace(0.0, 1.0, 100)[:, None]
-    first, other = (sampled_record("rows", rows, gain * rows, 1e-3, ("x",), "um") for gain in (1.0, 2.0))
-    model = package._linear_model([first])
-    assert package._linear_model([first.rows(0, 100)]) is model and searched == ["linear"]
-    assert package._linear_model([other]) is not model
-    assert package._linear_model([first]) is not model, "only the newest is kept"
