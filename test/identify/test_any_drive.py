@@ -17,7 +17,7 @@ from hyst_control.identify.data.initial_memory import (
     ESTIMATED,
     FILLED,
     PERIODIC,
-    VIRGIN,
+    REST,
     beginning_rows,
     estimated_memory,
     with_beginning,
@@ -85,7 +85,7 @@ def growing(start: str = "auto", rows: slice = slice(None), before: float = 0.0)
     return sampled_record("growing", command[100:][rows], measurement[100:][rows], 1e-3, ("x",), "um", start=start)
 
 
-@pytest.mark.parametrize("before, assumed", [(0.0, [VIRGIN]), (35.0, [ESTIMATED]), (-35.0, [ESTIMATED, PERIODIC])])
+@pytest.mark.parametrize("before, assumed", [(0.0, [REST]), (35.0, [ESTIMATED]), (-35.0, [ESTIMATED, PERIODIC])])
 def test_loops_that_grow_have_their_memory_estimated(before, assumed):
     """No row but the last ones lies behind both extremes: with the wrong memory the first loops would be 6 % of the range off.
 
@@ -104,7 +104,7 @@ def test_the_estimated_memory_is_that_of_the_plant(before):
     """The last turning point before the record, of a plant that had been at -50 V and 50 V before, on the right side of its beginning."""
     data = growing(before=before)
     memory = estimated_memory(data.command[:, 0], data.measurement[:, 0])
-    assert not memory.virgin and (memory.turns[-2] - memory.turns[-1]) * before > 0.0
+    assert not memory.at_zero and (memory.turns[-2] - memory.turns[-1]) * before > 0.0
 
 
 def test_a_periodic_record_is_preceded_by_itself():
@@ -119,5 +119,5 @@ def test_a_periodic_record_is_preceded_by_itself():
 
 
 def test_a_start_that_is_given_is_believed():
-    for start, assumed in (("settled", VIRGIN), ("unknown", FILLED)):
+    for start, assumed in (("settled", REST), ("unknown", FILLED)):
         assert beginning_rows([with_beginning(growing(start=start))])[0]["assumed"] == assumed

@@ -17,8 +17,8 @@ PERIOD, CLOSE = 0.005, 0.05
 COMMANDS = 40.0 + 0.2 * np.arange(50)  # V, tick by tick
 
 
-def heard(voltage, tick):
-    """What is heard of a voltage that was on the actuator at a tick, after the commands were sent."""
+def tracked(voltage, tick):
+    """Voltage (V) that the feedback tracks after a message on `applied`; None where it takes the actuator to follow."""
     message = (label_for(("x",), "V"), np.array([[tick * PERIOD, voltage]]), None)
     node = SimpleNamespace(
         axes=("x",),
@@ -34,13 +34,13 @@ def heard(voltage, tick):
 
 
 @pytest.mark.parametrize("ahead", [-3, -1, 0, 1, 2])
-def test_voltage_that_was_not_commanded_is_heard_also_ahead_of_the_own_tick(ahead):
+def test_a_voltage_that_was_not_commanded_is_tracked_whichever_node_ticks_first(ahead):
     tick = len(COMMANDS) - 1 + ahead
-    np.testing.assert_array_equal(heard(1.0, tick), [1.0])
+    np.testing.assert_array_equal(tracked(1.0, tick), [1.0])
     newest = COMMANDS[min(tick, len(COMMANDS) - 1)]
-    assert heard(newest, tick) is None and heard(newest - 0.2, tick) is None, "the command, or that of the tick before"
-    assert heard(newest + 1.0, tick) is not None
+    assert tracked(newest, tick) is None and tracked(newest - 0.2, tick) is None, "the command, or that of the tick before"
+    assert tracked(newest + 1.0, tick) is not None
 
 
-def test_voltage_of_a_tick_of_which_no_command_is_known_says_nothing():
-    assert heard(1.0, len(COMMANDS) + 20) is None
+def test_a_voltage_is_not_compared_at_a_tick_long_after_the_last_command():
+    assert tracked(1.0, len(COMMANDS) + 20) is None

@@ -38,7 +38,7 @@ HELD, MOST_LEVELS = 50, 20_000
 LEG, LEG_ROWS = 0.05, (500, 2000)
 """Time (s) of a smooth way between two remembered turning points, and its least and largest number of rows."""
 
-VIRGIN, FILLED = "at rest at 0 V, on the initial loading curve", "unknown: counted from where both extremes have been met"
+REST, FILLED = "at rest at 0 V, on the initial loading curve", "unknown: counted from where both extremes have been met"
 PERIODIC, ESTIMATED = "periodic: preceded by itself", "with the memory of an earlier motion: turning points before it estimated"
 
 
@@ -47,7 +47,7 @@ class Memory:
     """Memory of one axis."""
 
     turns: Annotated[Array, "M"]  # Turning points (M,), V, from the farthest one to the first command
-    virgin: bool = False  # Rest at 0 V
+    at_zero: bool = False  # Rest at 0 V
     loading: bool = False  # Surely brought from 0 V to the first command, on the initial loading curve
     periodic: bool = False  # The record itself precedes it
 
@@ -61,13 +61,13 @@ def with_beginning(data: Record) -> Record:
     axes = range(data.command.shape[1])
     closed = closed_loop(data)
     memories = [estimated_memory(data.command[:, axis], data.measurement[:, axis], closed=closed) for axis in axes]
-    if all(memory.virgin for memory in memories):
-        return replace(data, start=Beginning(VIRGIN, None, 0))
+    if all(memory.at_zero for memory in memories):
+        return replace(data, start=Beginning(REST, None, 0))
     filled = max(memory_filled(data.command[:, axis]) for axis in axes)
     remaining = min(share_of_motion(data.command[:, axis], filled) for axis in axes)
     if remaining < LITTLE and all(memory.periodic for memory in memories):
         beginning = Beginning(PERIODIC, data.command, 0)
-    elif remaining >= HALF and not all(memory.loading or memory.virgin for memory in memories):
+    elif remaining >= HALF and not all(memory.loading or memory.at_zero for memory in memories):
         beginning = Beginning(FILLED, None, filled)
     else:
         beginning = Beginning(ESTIMATED, smooth_way([memory.turns for memory in memories], data), 0)
@@ -79,7 +79,7 @@ def beginning_rows(records: Sequence[Record]) -> list[BeginningRow]:
     rows: list[BeginningRow] = []
     for data in records:
         if data.start == "settled":
-            rows.append({"name": data.name, "assumed": VIRGIN, "first_row": 0})
+            rows.append({"name": data.name, "assumed": REST, "first_row": 0})
             continue
         known = data.start
         if not isinstance(known, Beginning):
@@ -97,7 +97,7 @@ def begins_at_rest(data: Record) -> bool:
 
 def seems_at_rest(data: Record) -> bool:
     """True where the hysteresis of a record tells that it begins at rest; its dynamics may move all the same."""
-    return isinstance(data.start, Beginning) and data.start.assumed == VIRGIN
+    return isinstance(data.start, Beginning) and data.start.assumed == REST
 
 
 def share_of_motion(command: Annotated[Array, "N"], row: int) -> float:
@@ -111,11 +111,11 @@ def estimated_memory(command: Annotated[Array, "N"], measurement: Annotated[Arra
     command, measurement = at_rest(command, measurement)
     first, low, high = float(command[0]), float(command.min()), float(command.max())
     at_zero = abs(first) <= AT_ZERO * max(abs(low), abs(high))
-    virgin = Memory(np.array([0.0, first]), virgin=at_zero)
+    from_zero = Memory(np.array([0.0, first]), at_zero=at_zero)
     if low == high:
-        return virgin if at_zero else Memory(np.array([first]), periodic=closed)
+        return from_zero if at_zero else Memory(np.array([first]), periodic=closed)
     inner = np.linspace(0.0, 1.0, TURNS + 2)[1:-1]
-    candidates = [virgin, *(Memory(np.array(turns)) for turns in ([high, low, first], [low, high, first]))]
+    candidates = [from_zero, *(Memory(np.array(turns)) for turns in ([high, low, first], [low, high, first]))]
     candidates += [Memory(np.array([high, low, first + share * (high - first), first])) for share in inner if high > first]
     candidates += [Memory(np.array([low, high, first + share * (low - first), first])) for share in inner if low < first]
     thresholds = 0.5 * (high - low) * (np.arange(OPERATORS) / OPERATORS) ** 1.4
@@ -143,11 +143,11 @@ def estimated_memory(command: Annotated[Array, "N"], measurement: Annotated[Arra
     errors = [error(memory) for memory in candidates]
     best = int(np.argmin(errors))
     period = Memory(np.append(command[turning_points(command)], command[-1]), periodic=True)
-    likely = min([*[period] * closed, virgin], key=error)
+    likely = min([*[period] * closed, from_zero], key=error)
     if error(likely) > DOUBT * errors[best]:
         return candidates[best]
     others = min(*errors[1:], error(period))
-    return replace(likely, loading=likely is virgin and SURE * errors[0] < others)
+    return replace(likely, loading=likely is from_zero and SURE * errors[0] < others)
 
 
 def spread_rows(begin: int, end: int) -> Integers:
