@@ -130,18 +130,7 @@ class PiFeedback(ManagedNode):
                 return
             self._waiting = False
         if self.measurement is None:
-            out = self._newest[0] + 1 if self._newest else tick  # rows streamed ahead are already published
-            first = max(tick, out)
-            fault = self._timing_fault(tick)
-            rows.skip_to(out)
-            if fault or not self.loop.enabled or self.loop.faults.any and not rows.available:
-                rows.skip_to(tick + 1)
-                if self._newest is not None and (count := max(tick + self.settings.block - first, 0)):
-                    self._publish(first, *self.loop.stopped_by(fault, count))
-            elif rows.available:
-                start, ahead = rows.start, rows.take(rows.available)
-                self._ask(start, ahead)
-                self._publish(start, *self.loop.open(ahead))
+            self._tick_open(tick)
         else:
             newest = [row[None] for signal in self.inputs if (row := signal.rows.newest(tick)) is not None]
             fault = self._timing_fault(tick)
@@ -152,6 +141,29 @@ class PiFeedback(ManagedNode):
             elif self._newest is not None:  # nothing came since a reset
                 self._publish(tick, *self.loop.stopped_by(fault, 1))
         self._report()
+
+    def _tick_open(self, tick: int) -> None:
+        """One tick in open loop: the command of every row that has come, which may be ahead of the tick or behind it."""
+        rows = self.feedforward.rows
+        due = self._newest[0] + 1 if self._newest else 0
+        fault = self._timing_fault(tick)
+        stopped = bool(fault) or not self.loop.enabled
+        late = rows.newest(due - 1)
+        rows.skip_to(due)
+        if rows.available and not stopped:
+            start, ahead = rows.start, rows.take(rows.available)
+            self._ask(start, ahead)
+            self._publish(start, *self.loop.open(ahead))
+            return
+        rows.skip_to(tick + 1)
+        first = max(tick, due)
+        count = max(tick + self.settings.block - first, 0)
+        if self._newest is None or not count or not (stopped or self.loop.faults.any):
+            return
+        if stopped or late is None:
+            self._publish(first, *self.loop.stopped_by(fault, count))
+        else:  # rows come later than their ticks, for which commands are out already: the newest of them ends the stop
+            self._publish(first, *self.loop.open(np.repeat(late[None], count, axis=0)))
 
     def repeat(self, source: Input, tick: int) -> None:
         if source is self._paced_by:

@@ -113,16 +113,21 @@ def test_stage_follows_the_managed_states(bench):
     bed.assert_sound()
 
 
-def test_feedback_follows_the_managed_states(bench):
+@pytest.mark.parametrize("recovery_time", [0.0, 0.1])
+@pytest.mark.parametrize("ahead", [1, 0])  # by how many ticks; a row of ahead 0 comes after the node's tick, and only the next one has it
+def test_feedback_follows_the_managed_states(bench, ahead, recovery_time):
     bench.listen("command")
-    node = bench.add(PiFeedback, schedule="timer", rate_hz=RATE, feedback=False, safe_command=[SAFE], autostart=False, timeout=1.0)
+    settings = dict(feedback=False, safe_command=[SAFE], autostart=False, timeout=1.0, recovery_time=recovery_time)
+    node = bench.add(PiFeedback, schedule="timer", rate_hz=RATE, **settings)
     sender = bench.sender("feedforward", "t[s],x[V]")
+    own_tick, sending = node.tick, [True]
 
-    def feed():
-        tick = int(time.monotonic() / PERIOD)
-        sender.send(np.array([[tick * PERIOD, 20.0]]))
+    def tick(number):
+        own_tick(number)
+        if sending[0]:
+            sender.send(np.array([[(number + ahead) * PERIOD, 20.0]]))
 
-    bench.probe.create_timer(PERIOD, feed)
+    node.tick = tick
 
     def commands(value):
         return lambda: len(bench.rows("command")) and bench.rows("command")[-1, 1] == value
@@ -134,7 +139,13 @@ def test_feedback_follows_the_managed_states(bench):
     bench.until(commands(SAFE))
     assert change(bench, "pi_feedback", "activate")
     bench.until(commands(20.0))
-    steps = np.abs(np.diff(bench.rows("command")[:, 1]))
+    sending[0] = False
+    bench.until(commands(SAFE))
+    sending[0] = True
+    bench.until(commands(20.0))
+    rows = bench.rows("command")
+    assert np.diff(rows[:, 0]).min() > 0.5 * PERIOD
+    steps = np.abs(np.diff(rows[:, 1]))
     assert steps.max() <= 1000.0 * PERIOD * (1 + 1e-9)  # safe_rate, both ways
 
 
