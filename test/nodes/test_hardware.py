@@ -114,7 +114,7 @@ def test_stage_follows_the_managed_states(bench):
 
 
 @pytest.mark.parametrize("recovery_time", [0.0, 0.1])
-@pytest.mark.parametrize("ahead", [1, 0])  # by how many ticks; a row of ahead 0 comes after the node's tick, and only the next one has it
+@pytest.mark.parametrize("ahead", [1, 0])  # ticks; a row of 0 comes after the node's own tick
 def test_feedback_follows_the_managed_states(bench, ahead, recovery_time):
     bench.listen("command")
     settings = dict(feedback=False, safe_command=[SAFE], autostart=False, timeout=1.0, recovery_time=recovery_time)
