@@ -64,13 +64,15 @@ def prandtl_ishlinskii(library: ctypes.CDLL) -> Pair:
 
     def own() -> Array:
         running.settle(command[0])
-        operators = (running.thresholds, running.release, running.weights, *running.coefficients)
+        level = running.levels, running.center
+        operators = (running.thresholds, running.release, running.weights, *running.coefficients, *level)
         dynamic_prandtl_ishlinskii(command, running.previous, running.rate_factor, *operators, running.state, output)
         return output.copy()
 
     def other() -> Array:
         running.settle(command[0])
-        arrays = (running.thresholds, running.release, running.weights, *running.coefficients, running.state, output)
+        level = running.levels, running.center
+        arrays = (running.thresholds, running.release, running.weights, *running.coefficients, *level, running.state, output)
         _call(library.dynamic_prandtl_ishlinskii, ROWS, 1, 10, command, running.previous, running.rate_factor, *arrays)
         return output.copy()
 

@@ -207,6 +207,28 @@ VARIANTS = {
         "prandtl_ishlinskii",
         lambda n: {"thresholds": [1.0, 6.0], "weights": [0.5, 0.3], "one_sided": True},
     ),
+    "inverse_multiplicative, levels": (
+        "inverse_multiplicative",
+        lambda n: {
+            "thresholds": spread(n, [1.0, 9.0], [4.0]),
+            "weights": spread(n, [0.5, 0.3], [0.9]),
+            "levels": spread(n, [2e-4, -1e-4], [1e-4]),
+            "center": spread(n, 40.0, 0.0),
+            "w0": 0.3,
+            "lower": 0.0,
+            "upper": 150.0,
+            "iterations": 0,
+        },
+    ),
+    "modified_prandtl_ishlinskii, levels": (
+        "modified_prandtl_ishlinskii",
+        lambda n: {
+            "thresholds": spread(n, [1.0, 6.0], [4.0]),
+            "weights": spread(n, [0.5, 0.3], [0.9]),
+            "levels": spread(n, [2e-3, -1e-3], [1e-3]),
+            "center": spread(n, 40.0, 0.0),
+        },
+    ),
     "modified_prandtl_ishlinskii, two-sided": (
         "modified_prandtl_ishlinskii",
         lambda n: {"thresholds": [1.0, 6.0], "weights": [0.5, 0.3], "m1": 1e-6, "w0": 0.1},

@@ -30,8 +30,8 @@ def run(stage, u) -> np.ndarray:
     return running.process(np.array(u, dtype=float).reshape(-1, 1))[:, 0]
 
 
-def written_out(u, thresholds, weights, w0=0.0, m1=0.0, m2=0.0, k=0.0, b=0.0, one_sided=False, beta=0.0) -> np.ndarray:
-    """HAMPI paper Eq. 2-6, sample by sample and operator by operator; beta widens the thresholds with the rate."""
+def written_out(u, thresholds, weights, w0=0.0, m1=0.0, m2=0.0, k=0.0, b=0.0, one_sided=False, beta=0.0, levels=None, center=0.0):
+    """HAMPI paper Eq. 2-6, sample by sample and operator by operator; beta widens the thresholds with the rate, levels replace k."""
     h, previous, y = [0.0] * len(thresholds), 0.0, []
     for value in u:
         rate = (value - previous) / TS
@@ -40,7 +40,8 @@ def written_out(u, thresholds, weights, w0=0.0, m1=0.0, m2=0.0, k=0.0, b=0.0, on
             r = r + beta * abs(rate)
             h[i] = max(value - r, min(value + (0.0 if one_sided else r), h[i]))
         rotation = -m1 * rate if rate >= 0 else m2 * rate
-        y.append(w0 * value + sum((w + rotation + k * value + b) * hi for w, hi in zip(weights, h)))
+        own = [w + turn * (value - center) for w, turn in zip(weights, levels or [0.0] * len(weights))]
+        y.append(w0 * value + sum((w + rotation + k * value + b) * hi for w, hi in zip(own, h)))
     return np.array(y)
 
 
@@ -49,7 +50,8 @@ def written_out(u, thresholds, weights, w0=0.0, m1=0.0, m2=0.0, k=0.0, b=0.0, on
 def test_the_models_are_the_papers_equations(u, one_sided):
     expected = written_out(u, THRESHOLDS, WEIGHTS, W0, one_sided=one_sided)
     np.testing.assert_allclose(run(PrandtlIshlinskii(THRESHOLDS, WEIGHTS, W0, one_sided), u), expected, rtol=1e-12, atol=1e-12)
-    dynamic = {"m1": 7.7e-7, "m2": 2.5e-7, "k": -6.4e-4, "b": 0.025, "w0": 0.1}
+    levels = [1e-3 * (-1) ** i for i in range(len(THRESHOLDS))]
+    dynamic = {"m1": 7.7e-7, "m2": 2.5e-7, "k": -6.4e-4, "b": 0.025, "w0": 0.1, "levels": levels, "center": 4.0}
     expected = written_out(u, THRESHOLDS, WEIGHTS, one_sided=one_sided, **dynamic)
     stage = ModifiedPrandtlIshlinskii(THRESHOLDS, WEIGHTS, one_sided=one_sided, **dynamic)
     np.testing.assert_allclose(run(stage, u), expected, rtol=1e-12, atol=1e-12)

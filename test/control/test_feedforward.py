@@ -103,6 +103,20 @@ def test_exact_solution_inverts_a_classical_model_to_the_last_digits(seed, weigh
     np.testing.assert_allclose(np.concatenate([model.settle(command[0])[None], model.process(command[1:])]), demand, atol=1e-10)
 
 
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(-0.6, 0.6))
+def test_exact_solution_inverts_weights_that_change_with_the_command(seed, share):
+    weights = np.array([0.5, 0.1, 0.1])
+    levels = share * weights / 60.0 * np.array([1.0, -1.0, 1.0])
+    stage = ModifiedPrandtlIshlinskii([0.0, 4.0, 15.0], weights, levels=levels, center=30.0)
+    own = {name: getattr(stage, name) for name in ("thresholds", "weights", "levels", "center")}
+    sampling, rows = Sampling(1e-4, 1, "foh"), np.random.default_rng(seed).uniform(0.0, 60.0, (200, 1))
+    model, running = stage.filter(sampling), InverseMultiplicative(**own, lower=0.0, upper=60.0, iterations=0).filter(sampling)
+    demand = np.concatenate([model.settle(np.array([60.0]))[None], model.process(rows)])
+    command = np.concatenate([running.settle(demand[0])[None], running.process(demand[1:])])
+    np.testing.assert_allclose(command[1:], rows, atol=1e-8)
+
+
 @settings(max_examples=30, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(["hapi", "hampi"]), iterations=st.integers(0, 5), scale=st.floats(0.1, 1e3)
@@ -178,11 +192,13 @@ def test_gain_and_offset_on_either_side_are_undone():
     np.testing.assert_allclose(2.0 * command + 1.0, plain, atol=0.02)
 
 
-def test_slope_range_is_that_of_finite_differences():
+@pytest.mark.parametrize("share", [0.0, 0.4])  # by which weights change over the drive, one up and the next one down
+def test_slope_range_is_that_of_finite_differences(share):
     stage = HAMPI.chain.stages[0]
-    least, greatest, mean, _ = slope_range(
-        np.array(stage.thresholds), np.array(stage.thresholds), np.array(stage.weights), 0.0, stage.k, stage.b, 0.0, 50.0
-    )
+    levels = share / 50.0 * np.array(stage.weights) * np.resize([1.0, -1.0], len(stage.weights))
+    stage = replace(stage, levels=levels, center=25.0)
+    operators = np.array(stage.thresholds), np.array(stage.thresholds), np.array(stage.weights), levels
+    least, greatest, mean, _ = slope_range(operators, (0.0, stage.k, stage.b, 25.0), 0.0, 50.0)
     u = np.concatenate([np.linspace(0, 50, 5001), np.linspace(50, 0, 5001)])[:, None]
     slow = replace(stage, m1=0.0, m2=0.0).filter(Sampling(1.0, 1, "foh"))
     slow.settle(u[0])

@@ -38,24 +38,26 @@ C = c_texts(__file__)
 
 
 @njit(cache=True)
-def trial(u: float, operators: tuple[Array, Array, Array], dynamics: tuple[float, ...], state: Array) -> tuple[float, float]:
-    """Output and slope of the model of one axis without touching its memory; dynamics: w0, rotation, k, b."""
-    (thresholds, release, weights), (w0, rotation, k, b) = operators, dynamics
-    total, weighted, active, active_weight = 0.0, 0.0, 0, 0.0
+def trial(u: float, operators: tuple[Array, Array, Array, Array], dynamics: tuple[float, ...], state: Array) -> tuple[float, float]:
+    """Output and slope of the model of one axis without touching its memory; dynamics: w0, rotation, k, b, center."""
+    (thresholds, release, weights, levels), (w0, rotation, k, b, center) = operators, dynamics
+    total, weighted, active, active_weight, turning = 0.0, 0.0, 0, 0.0, 0.0
     for i in range(thresholds.size):
         h = state[i]
+        weight = weights[i] + levels[i] * (u - center)
         if u - thresholds[i] > h:
             h = u - thresholds[i]
             active += 1
-            active_weight += weights[i]
+            active_weight += weight
         elif u + release[i] < h:
             h = u + release[i]
             active += 1
-            active_weight += weights[i]
+            active_weight += weight
         total += h
-        weighted += weights[i] * h
+        weighted += weight * h
+        turning += levels[i] * h
     dynamic = rotation + k * u + b
-    return w0 * u + weighted + dynamic * total, w0 + active_weight + dynamic * active + k * total
+    return w0 * u + weighted + dynamic * total, w0 + active_weight + dynamic * active + k * total + turning
 
 
 @njit(cache=True)
@@ -64,7 +66,7 @@ def solve_command(
     start: float,
     lower: float,
     upper: float,
-    operators: tuple[Array, Array, Array],
+    operators: tuple[Array, Array, Array, Array],
     dynamics: tuple[float, ...],
     state: Array,
 ) -> float:
@@ -117,7 +119,7 @@ def inverse_multiplicative(
     output: Annotated[Array, "N A"],
 ) -> None:
     """Commands for demands, all axes."""
-    (thresholds, release, weights), (w0, m1, m2, k, b) = operators, coefficients
+    (thresholds, release, weights, levels), (w0, m1, m2, k, b, center) = operators, coefficients
     lower, upper, gain, rate_factor, most = drive
     state, previous, command = memory
     for row in range(demand.shape[0]):
@@ -128,7 +130,7 @@ def inverse_multiplicative(
             rotation = -m1[axis] * rate if rate >= 0.0 else m2[axis] * rate
             rotation = min(max(rotation, -most[axis]), most[axis])
             r, q, h, u = thresholds[axis], release[axis], state[axis], command[axis]
-            plays, dynamics = (r, q, weights[axis]), (w0[axis], rotation, k[axis], b[axis])
+            plays, dynamics = (r, q, weights[axis], levels[axis]), (w0[axis], rotation, k[axis], b[axis], center[axis])
             if iterations == 0:
                 u = solve_command(v, u, lower[axis], upper[axis], plays, dynamics, h)
             else:
@@ -147,16 +149,16 @@ class InverseMultiplicativeFilter(Filter):
     def __init__(self, stage: InverseMultiplicative, sampling: Sampling) -> None:
         axes = sampling.axes
         self.hold = sampling.hold
-        coefficients = {name: getattr(stage, name) for name in ("w0", "m1", "m2", "k", "b")}
-        model = PlayFilter(sampling, stage.thresholds, stage.weights, stage.one_sided, **coefficients)
+        coefficients = {name: getattr(stage, name) for name in ("w0", "m1", "m2", "k", "b", "center")}
+        model = PlayFilter(sampling, stage.thresholds, stage.weights, stage.one_sided, stage.levels, **coefficients)
         self.thresholds, self.release, self.weights, self.state = model.thresholds, model.release, model.weights, model.state
-        self.coefficients = model.coefficients
+        self.levels, self.coefficients = model.levels, (*model.coefficients, model.center)
         self.lower, self.upper = per_axis_scalars(stage, axes, "lower", "upper")
         slope = np.empty((3, axes))
         for axis in range(axes):
-            w0, k, b = (values[axis] for values in self.coefficients[0:1] + self.coefficients[3:])
-            operators = self.thresholds[axis], self.release[axis], self.weights[axis]
-            slope[:, axis] = slope_range(*operators, w0, k, b, self.lower[axis], self.upper[axis])[:3]
+            w0, _, _, k, b, center = (values[axis] for values in self.coefficients)
+            operators = self.thresholds[axis], self.release[axis], self.weights[axis], self.levels[axis]
+            slope[:, axis] = slope_range(operators, (w0, k, b, center), self.lower[axis], self.upper[axis])[:3]
         if np.any(slope[0] <= 0.0):
             raise InputError(
                 "weights: the output does not rise with the command everywhere between "
@@ -184,14 +186,14 @@ class InverseMultiplicativeFilter(Filter):
         return self._run(block, self.iterations)
 
     def _run(self, block: Array, iterations: int) -> Array:
-        output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights)
+        output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights, self.levels)
         drive = self.lower, self.upper, self.gain, self.rate_factor, self.most
         memory = self.state, self.previous, self.command
         inverse_multiplicative(block, operators, self.coefficients, drive, iterations, memory, output)
         return output
 
     def c_code(self) -> CCode:
-        w0, m1, m2, k, b = self.coefficients
+        w0, m1, m2, k, b, center = self.coefficients
         exact, iterated = (c_filled(C["RUN"], {"SOLUTION": C[solution]}) for solution in ("EXACT", "ITERATED"))
         return CCode(
             "inverse of play operators",
@@ -207,6 +209,8 @@ class InverseMultiplicativeFilter(Filter):
                 "m2": reals(m2, "demand unit s / V^2"),
                 "k": reals(k, "demand unit / V^2"),
                 "b": reals(b, "demand unit / V"),
+                "levels": reals(self.levels, "demand unit / V^2"),
+                "center": reals(center, "V, command at which the weights are as stated"),
                 "lower": reals(self.lower, "V, least command"),
                 "upper": reals(self.upper, "V, greatest command"),
                 "gain": reals(self.gain, "V / demand unit, of an iteration"),
@@ -240,11 +244,15 @@ class InverseMultiplicative(Stage):
     b: ScalarPerAxis = scalar("output unit / V", "as in the model", default=0.0)
     w0: ScalarPerAxis = scalar("output unit / V", "as in the model", default=0.0)
     one_sided: bool = flag("as in the model")
+    levels: VectorPerAxis | None = vector("output unit / V²", "as in the model", default=None)
+    center: ScalarPerAxis = scalar("V", "as in the model", default=0.0)
     gain: ScalarPerAxis | None = scalar("V / output unit", "of a step; default 1 / greatest slope", default=None, above=0.0)
     iterations: int = count("steps per sample, 0 for the exact solution", default=4)
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)
+        if self.levels is not None:
+            check_operators(self.thresholds, self.levels, "levels")
         if np.any(np.subtract(self.upper, self.lower) <= 0):
             raise InputError(f"lower: {self.lower} V is not below upper, {self.upper} V")
 
@@ -253,26 +261,28 @@ class InverseMultiplicative(Stage):
 
 
 def slope_range(
-    thresholds: Array, release: Array, weights: Array, w0: float, k: float, b: float, lower: float, upper: float
+    operators: tuple[Array, Array, Array, Array], dynamics: tuple[float, float, float, float], lower: float, upper: float
 ) -> tuple[float, float, float, float]:
     """Least, greatest and mean slope dY/du at rest of one axis over [lower, upper], and the command at the least one.
 
-    The operators that move on a branch are those of the smallest thresholds, so the slope with the first j of them moving is
-    w0 + sum(w_1 … w_j) + j (k u + b) + k sum(H); sum(H) lies between the curve from rest and the descending one. j = 0 is the
-    play of the first operator after a reversal, in which nothing moves: the inverse crosses it, and it counts only where the
+    operators: thresholds, release, weights and levels; dynamics: w0, k, b and center. The operators that move on a branch are those of
+    the smallest thresholds, so the slope with the first j of them moving is w0 + sum(v_1 … v_j) + sum((k + levels_i) H_i), with the
+    weights v_i = w_i + levels_i (u - center) + k u + b at u; each H_i lies between the curve from rest and the descending one. j = 0 is
+    the play of the first operator after a reversal, in which nothing moves: the inverse crosses it, and it counts only where the
     first threshold is 0 or w0 is not.
     """
+    (thresholds, release, weights, levels), (w0, k, b, center) = operators, dynamics
     finite = np.isfinite(thresholds)
-    r, q, w = thresholds[finite], release[finite], weights[finite]
-    u = np.linspace(lower, upper, 201)
-    rising = np.maximum(u[:, None] - r, np.minimum(0.0, u[:, None] + q)).sum(axis=1)
-    falling = np.minimum(u[:, None] + q, np.maximum(upper - r, 0.0)).sum(axis=1)
-    count = np.arange(1, len(r) + 1)
+    r, q, w, turns = thresholds[finite], release[finite], weights[finite], levels[finite]
+    u = np.linspace(lower, upper, 201)[:, None]
+    rising = np.maximum(u - r, np.minimum(0.0, u + q))
+    falling = np.minimum(u + q, np.maximum(upper - r, 0.0))
     # An operator moves at u only where its threshold has been passed on the way there.
-    reached = (u - min(lower, 0.0))[:, None] >= r
-    slopes = np.stack([w0 + np.cumsum(w) + count * (k * u[:, None] + b) + k * total[:, None] for total in (rising, falling)])
+    reached = (u - min(lower, 0.0)) >= r
+    moving = w0 + np.cumsum(w + turns * (u - center) + k * u + b, axis=1)
+    slopes = np.stack([moving + (states @ (k + turns))[:, None] for states in (rising, falling)])
     least = np.where(reached, slopes, np.inf).min(axis=(0, 2))
     greatest = float(np.where(reached, slopes, -np.inf).max())
     zero = np.zeros_like(r)
-    ends = [trial(x, (r, q, w), (w0, 0.0, k, b), zero)[0] for x in (lower, upper)]
-    return float(least.min()), greatest, float((ends[1] - ends[0]) / (upper - lower)), float(u[np.argmin(least)])
+    ends = [trial(x, (r, q, w, turns), (w0, 0.0, k, b, center), zero)[0] for x in (lower, upper)]
+    return float(least.min()), greatest, float((ends[1] - ends[0]) / (upper - lower)), float(u[np.argmin(least), 0])

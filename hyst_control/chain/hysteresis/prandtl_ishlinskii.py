@@ -23,7 +23,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.chain import Parallel
-from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, flag, scalar, vector
+from hyst_control.chain.parameter import ScalarPerAxis, Scattering, VectorPerAxis, flag, scalar, vector
 from hyst_control.chain.stage import (
     Filter,
     Role,
@@ -55,19 +55,24 @@ def dynamic_prandtl_ishlinskii(
     m2: Array,
     k: Array,
     b: Array,
+    levels: Array,
+    center: Array,
     state: Array,
     output: Array,
 ) -> None:
-    """Weighted play operators with dynamic weights, all axes (HAMPI paper Eq. 2-6).
+    """Weighted play operators with dynamic weights, all axes (HAMPI paper Eq. 2-6; levels are an extension).
 
-    y = w0 u + sum_i (w_i + w_r(du/dt) + k u + b) H_i, with w_r = -m1 du/dt while rising and +m2 du/dt while falling.
+    y = w0 u + sum_i (w_i + levels_i (u - center) + w_r(du/dt) + k u + b) H_i, with w_r = -m1 du/dt while rising and +m2 du/dt while
+    falling.
 
     command (N, A), previous (A,) the command one sample earlier, rate_factor 1 / sample_time (1/s); thresholds, release,
-    weights and state (A, n); w0, m1, m2, k, b (A,); output (N, A). With m1 = m2 = k = b = 0 it is the classical model.
+    weights, levels and state (A, n); w0, m1, m2, k, b, center (A,); output (N, A). Where all but the weights are 0 it is the
+    classical model.
     """
     for row in range(command.shape[0]):
         for axis in range(command.shape[1]):
             u = command[row, axis]
+            level = u - center[axis]
             total = 0.0
             weighted = 0.0
             for i in range(thresholds.shape[1]):
@@ -78,7 +83,7 @@ def dynamic_prandtl_ishlinskii(
                 h = low if h < low else h
                 state[axis, i] = h
                 total += h
-                weighted += weights[axis, i] * h
+                weighted += (weights[axis, i] + levels[axis, i] * level) * h
             rate = (u - previous[axis]) * rate_factor
             previous[axis] = u
             rotation = -m1[axis] * rate if rate >= 0.0 else m2[axis] * rate
@@ -110,17 +115,33 @@ class PlayFilter(OperatorFilter):
     """Streaming Prandtl-Ishlinskii model, classical or with dynamic weights; coefficients that are not given are 0."""
 
     def __init__(
-        self, sampling: Sampling, thresholds: VectorPerAxis, weights: VectorPerAxis, one_sided: bool, **coefficients: ScalarPerAxis
+        self,
+        sampling: Sampling,
+        thresholds: VectorPerAxis,
+        weights: VectorPerAxis,
+        one_sided: bool,
+        levels: VectorPerAxis | None = None,
+        **coefficients: ScalarPerAxis,
     ) -> None:
         super().__init__(sampling, thresholds, weights)
         self.release = np.where(np.isfinite(self.thresholds), 0.0, np.inf) if one_sided else self.thresholds.copy()
         names = ("w0", "m1", "m2", "k", "b")
         w0, m1, m2, k, b = (per_axis_scalar(coefficients.get(name, 0.0), sampling.axes, name) for name in names)
         self.coefficients = (w0, m1, m2, k, b)
+        self.levels, self.center = (
+            np.zeros_like(self.weights),
+            per_axis_scalar(coefficients.get("center", 0.0), sampling.axes, "center"),
+        )
+        if levels is not None:
+            for axis, own in enumerate(per_axis(levels, sampling.axes, 1, "levels")):
+                self.levels[axis, : len(own)] = own
 
     def process(self, block: Array) -> Array:
         output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights)
-        dynamic_prandtl_ishlinskii(block, self.previous, self.rate_factor, *operators, *self.coefficients, self.state, output)
+        level = self.levels, self.center
+        dynamic_prandtl_ishlinskii(
+            block, self.previous, self.rate_factor, *operators, *self.coefficients, *level, self.state, output
+        )
         return output
 
     def c_code(self) -> CCode:
@@ -139,13 +160,15 @@ class PlayFilter(OperatorFilter):
                 "m2": reals(m2, "output unit s / V^2, rotation while the input falls"),
                 "k": reals(k, "output unit / V^2, change of every weight with the input"),
                 "b": reals(b, "output unit / V, part common to all weights"),
+                "levels": reals(self.levels, "output unit / V^2, change of a weight with the input"),
+                "center": reals(self.center, "V, input at which the weights are as stated"),
                 "rate_factor": reals(self.rate_factor, "1/s, of two samples' difference"),
             },
             {"operators": reals(self.state, "input unit"), "previous": reals(self.previous, "input unit, input before")},
         )
 
 
-def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
+def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis, name: str = "weights") -> None:
     """Raise `InputError` unless the thresholds increase, with one of the weights each."""
     axes = max(len(value) if depth(value) == 2 else 1 for value in (thresholds, weights))
     for axis, (r, w) in enumerate(_operators(thresholds, weights, axes)):
@@ -154,7 +177,7 @@ def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
             i = int(np.argmax(np.diff(r) <= 0))
             raise InputError(f"thresholds{where}: {r[i]:g} V is followed by {r[i + 1]:g} V: list them strictly increasing")
         if len(r) != len(w):
-            raise InputError(f"weights{where}: {len(w)} weights for {len(r)} thresholds: give one each")
+            raise InputError(f"{name}{where}: {len(w)} {name} for {len(r)} thresholds: give one each")
 
 
 def _operators(thresholds: VectorPerAxis, weights: VectorPerAxis, axes: int) -> list[tuple[Array, Array]]:
@@ -206,19 +229,20 @@ class OperatorModel(Stage):
 
     def with_operators(self, thresholds: Array, weights: Array) -> Stage:
         """The stage with factors (A,) of its thresholds, and of its weights but for the first operator's."""
-        axes = len(weights)
-        own = per_axis(self.weights, axes, 1, "weights")
-        changed = [np.concatenate([row[:1], factor * row[1:]]) for row, factor in zip(own, weights, strict=True)]
-        values: dict[str, Any] = {
-            "thresholds": scaled(self.thresholds, thresholds, 1, "thresholds"),
-            "weights": frozen(changed if axes > 1 else changed[0]),
-        }
-        return replace(self, **values)
+        changed: dict[str, Any] = {"thresholds": scaled(self.thresholds, thresholds, 1, "thresholds")}
+        return replace(self, **changed, weights=_with_factors(self.weights, weights, "weights"))
 
     def mean_slope(self, axes: int) -> Array:
         """Slope (A,) of a model in which every operator moves, on each of `axes` axes."""
         weights = per_axis(self.weights, axes, 1, "weights")
         return np.array([item.sum() for item in weights]) + per_axis_scalars(self, axes, "w0")[0]
+
+
+def _with_factors(values: VectorPerAxis, factors: Array, name: str) -> Any:
+    """Values of operators with factors (A,) for all but the first operator's."""
+    own = per_axis(values, len(factors), 1, name)
+    changed = [np.concatenate([row[:1], factor * row[1:]]) for row, factor in zip(own, factors, strict=True)]
+    return frozen(changed if len(factors) > 1 else changed[0])
 
 
 @register
@@ -244,14 +268,15 @@ class ModifiedPrandtlIshlinskii(OperatorModel):
     """Prandtl-Ishlinskii model with dynamic weights (HAMPI paper Eq. 4-6): y = w0 u + sum_i (w_i + w_r + w_a) H_i[u].
 
     w_r = -m1 du/dt while the command rises and +m2 du/dt while it falls; w_a = k u + b. Under `zoh` du/dt is the backward
-    difference of the held command, under `foh` the slope of the segment that ends at the sample.
+    difference of the held command, under `foh` the slope of the segment that ends at the sample. `levels` is an extension: the paper
+    has one k for all weights, where those of a piezo stack change by different amounts.
     """
 
     name: ClassVar[str] = "modified_prandtl_ishlinskii"
     equation: ClassVar[str] = (
         r"y = \mathrm{w0}\, u + \sum_i \left(\mathrm{weights}_i + w_r + w_a\right) H_i[u], \quad w_r = -\mathrm{m1}\, "
         r"\dot{u} \text{ for } \dot{u} > 0, \quad +\mathrm{m2}\, \dot{u} \text{ for } \dot{u} < 0, \quad w_a = "
-        r"\mathrm{k}\, u + \mathrm{b}"
+        r"\mathrm{k}\, u + \mathrm{b} + \mathrm{levels}_i \left(u - \mathrm{center}\right)"
     )
     m1: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command rises", default=0.0)
     m2: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command falls", default=0.0)
@@ -259,6 +284,17 @@ class ModifiedPrandtlIshlinskii(OperatorModel):
     b: ScalarPerAxis = scalar("output unit / V", "part common to all weights", default=0.0)
     w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
     one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
+    levels: VectorPerAxis | None = vector("output unit / V²", "change of each weight with the command; default none", default=None)
+    center: ScalarPerAxis = scalar("V", "command at which the weights are as stated", default=0.0, scatter=Scattering.NONE)
+
+    def check(self) -> None:
+        super().check()
+        if self.levels is not None:
+            check_operators(self.thresholds, self.levels, "levels")
+
+    def with_operators(self, thresholds: Array, weights: Array) -> Stage:
+        levels = None if self.levels is None else _with_factors(self.levels, weights, "levels")
+        return OperatorModel.with_operators(replace(self, levels=levels), thresholds, weights)
 
     def with_loop_width(self, width: Array) -> Parallel:
         """The model once more with every operator replaced by the command takes the mean curve off."""
@@ -275,15 +311,17 @@ class ModifiedPrandtlIshlinskii(OperatorModel):
     def _with_share(self, share: Array) -> ModifiedPrandtlIshlinskii:
         """The model's output times a share (A,)."""
         rest = {name: scaled(getattr(self, name), share, 0, name) for name in ("m1", "m2", "k", "b", "w0")}
-        return replace(self, weights=scaled(self.weights, share, 1, "weights"), **rest)
+        levels = None if self.levels is None else scaled(self.levels, share, 1, "levels")
+        return replace(self, weights=scaled(self.weights, share, 1, "weights"), levels=levels, **rest)
 
     def _mean(self, axes: int) -> ModifiedPrandtlIshlinskii:
         """The model with u in place of every H_i[u]: one operator of threshold 0, with the sum of the weights."""
         weights = per_axis(self.weights, axes, 1, "weights")
         count = np.array([float(len(item)) for item in weights])
         rest = {name: scaled(getattr(self, name), count, 0, name) for name in ("m1", "m2", "k", "b")}
-        return replace(self, thresholds=(0.0,), weights=[[item.sum()] for item in weights], **rest)
+        levels = None if self.levels is None else [[item.sum()] for item in per_axis(self.levels, axes, 1, "levels")]
+        return replace(self, thresholds=(0.0,), weights=[[item.sum()] for item in weights], levels=levels, **rest)
 
     def filter(self, sampling: Sampling) -> PlayFilter:
-        coefficients = {name: getattr(self, name) for name in ("w0", "m1", "m2", "k", "b")}
-        return PlayFilter(sampling, self.thresholds, self.weights, self.one_sided, **coefficients)
+        coefficients = {name: getattr(self, name) for name in ("w0", "m1", "m2", "k", "b", "center")}
+        return PlayFilter(sampling, self.thresholds, self.weights, self.one_sided, self.levels, **coefficients)

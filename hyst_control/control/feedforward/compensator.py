@@ -390,7 +390,7 @@ def core_inverse(model: Model, limits: Array, kind: str, sampling: Sampling, ite
         raise InputError(f"kind: {kind!r} inverts prandtl_ishlinskii and modified_prandtl_ishlinskii, not {core.name}")
     own = {item.name: getattr(core, item.name) for item in fields(core)}
     if kind == "hapi":
-        own = {name: value for name, value in own.items() if name not in ("m1", "m2", "k", "b")}
+        own = {name: value for name, value in own.items() if name not in ("m1", "m2", "k", "b", "levels", "center")}
     # The hysteresis sees the drive through the static gain of what stands before it.
     valid = limits if model.valid.get("command") is None else drive_limits(model, None)
     drive, needed = (np.sort(at_rest(before, each), axis=0) for each in (limits, valid))
@@ -403,15 +403,14 @@ def core_inverse(model: Model, limits: Array, kind: str, sampling: Sampling, ite
 def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive: Array, needed: Array) -> Array:
     """Limits (2, A) of the drive, V, over which the output rises with the command, 0 < dY/du: at least up to `needed`."""
     axes = drive.shape[1]
-    coefficients = np.array([per_axis_scalar(getattr(core, name, 0.0), axes, name) for name in ("w0", "k", "b")])
-    operators = PlayFilter(Sampling(1.0, axes), core.thresholds, core.weights, core.one_sided)
+    coefficients = np.array([per_axis_scalar(getattr(core, name, 0.0), axes, name) for name in ("w0", "k", "b", "center")])
+    operators = PlayFilter(Sampling(1.0, axes), core.thresholds, core.weights, core.one_sided, getattr(core, "levels", None))
     upper = drive[1].copy()
 
     def min_slope(axis: int, end: float) -> tuple[float, float, float, float]:
-        w0, k, b = coefficients[:, axis]
-        return slope_range(
-            operators.thresholds[axis], operators.release[axis], operators.weights[axis], w0, k, b, drive[0, axis], end
-        )
+        plays = operators.thresholds[axis], operators.release[axis], operators.weights[axis], operators.levels[axis]
+        w0, k, b, center = coefficients[:, axis]
+        return slope_range(plays, (w0, k, b, center), drive[0, axis], end)
 
     for axis in range(axes):
         if min_slope(axis, upper[axis])[0] > 0.0:

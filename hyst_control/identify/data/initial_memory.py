@@ -3,9 +3,9 @@
 """Initial memory of a record: the turning points that a hysteresis remembers when the record begins.
 
 A record may begin at rest on the initial loading curve, amid a motion, or in a periodic steady state. The memory is found from the record
-itself, before any family is fitted: play operators with a common set of weights are fitted to the record (a linear problem), once for each
-of a few memories with which it may begin, and the memory with the smallest error is taken. Rows behind the first visit to both extremes
-are the same for all of them, because those extremes wipe out what came before.
+itself, before any family is fitted: play operators with weights that change with the command are fitted to the record (a linear problem),
+once for each of a few memories with which it may begin, and the memory with the smallest error is taken. Rows behind the first visit to
+both extremes are the same for all of them, because those extremes wipe out what came before.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Annotated
 
 import numpy as np
 from numba import njit
+from scipy.special import fdtri
 
 from hyst_control.base.arrays import Array, Integers
 from hyst_control.identify.data.fit import BeginningRow
@@ -30,6 +31,8 @@ OPERATORS, ROWS, TURNS = 12, 2000, 9
 AT_ZERO = 0.01  # Share of the largest command up to which a record begins at 0 V
 DOUBT = 1.1
 """Factor by which the square error may be larger than that of one on its initial loading curve, or of one preceded by itself."""
+LIKELY = 0.95  # Probability with which few rows must refute these
+ROWS_PER_WEIGHT = 4  # Least number of rows per weight
 SURE = 4.0  # Factor by which every other memory has a larger square error where a record surely begins on its initial loading curve
 LITTLE, HALF = 0.9, 0.5
 """Shares of the motion behind the first visit to both extremes, from which the rows before are left out without loss."""
@@ -129,14 +132,19 @@ def estimated_memory(command: Annotated[Array, "N"], measurement: Annotated[Arra
     target = measurement[rows]
     # A branch of a loop that falls where the command rises is none: few rows would otherwise be followed by any memory.
     sign = 1.0 if np.polyfit(command[rows], target, 1)[0] >= 0 else -1.0
-    least = np.concatenate([np.zeros(OPERATORS), np.full(2, -np.inf)])
+    # Few rows, as of a staircase, tell no weights at both ends of the range.
+    shares = ((command[rows] - low) / (high - low))[:, None]
+    shares = np.array([1.0 - shares, shares]) if len(rows) >= ROWS_PER_WEIGHT * 2 * OPERATORS else np.ones((1, len(rows), 1))
+    least = np.concatenate([np.zeros(len(shares) * OPERATORS), np.full(2, -np.inf)])
+    freedom = max(len(rows) - len(least), 1)
+    doubt = max(DOUBT, float(fdtri(freedom, freedom, LIKELY)))
 
     def error(memory: Memory) -> float:
         states = play_states(memory.turns, thresholds, np.array([len(memory.turns) - 1]))[-1]
         before = followed(command[: filled + 1], thresholds, states, early)
         operators = np.concatenate([before, after])
-        slopes = operators - np.column_stack([operators[:, 1:], np.zeros(len(rows))])
-        columns = np.hstack([sign * slopes, trend])
+        slopes = sign * (operators - np.column_stack([operators[:, 1:], np.zeros(len(rows))]))
+        columns = np.hstack([*(slopes * shares), trend])
         found = solve_bounded(columns.T @ columns, columns.T @ target, least, np.full(len(least), np.inf))
         return float(np.sum((target - columns @ found) ** 2))
 
@@ -144,7 +152,7 @@ def estimated_memory(command: Annotated[Array, "N"], measurement: Annotated[Arra
     best = int(np.argmin(errors))
     period = Memory(np.append(command[turning_points(command)], command[-1]), periodic=True)
     likely = min([*[period] * closed, from_zero], key=error)
-    if error(likely) > DOUBT * errors[best]:
+    if error(likely) > doubt * errors[best]:
         return candidates[best]
     others = min(*errors[1:], error(period))
     return replace(likely, loading=likely is from_zero and SURE * errors[0] < others)

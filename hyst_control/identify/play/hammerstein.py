@@ -80,6 +80,18 @@ class HammersteinOptions(PlayOptions):
     structure: Structure | None = structure_option()
 
 
+@dataclass(frozen=True)
+class DynamicWeightOptions(HammersteinOptions):
+    """Options of a fit of play operators of dynamic weights in front of dynamics."""
+
+    levels: bool = option(
+        True,
+        TRUTH,
+        "let every weight change with the command by an amount of its own, where rows held out show it; false: by one k, as in the paper",
+        methods=("joint",),
+    )
+
+
 def axis_problem(
     records: Sequence[Record], axis: int, options: OperatorOptions, *, one_sided: bool = False, dynamic: bool = False
 ) -> Problem:
@@ -92,29 +104,40 @@ def axis_problem(
     return Problem(windows, operators, options.nuisance, len(records), travel / drive, drift)
 
 
-def more_operators(problem: Problem, options: OperatorOptions) -> Operators | None:
-    """More play operators for a problem; None where the options list or count them."""
-    if options.operators is not None or options.thresholds is not None:
-        return None
-    kept, more = problem.operators, replace(options, operators=MORE_OPERATORS)
-    return default_operators(problem.windows, more, one_sided=kept.one_sided, dynamic=kept.dynamic)
+def finer_operators(problem: Problem, options: OperatorOptions, *, levels: bool = False) -> list[Operators]:
+    """More play operators for a problem, where the options do not list or count them, and with `levels` those of further weights."""
+    kept = problem.operators
+    found = (
+        []
+        if options.operators or options.thresholds
+        else [
+            default_operators(
+                problem.windows, replace(options, operators=MORE_OPERATORS), one_sided=kept.one_sided, dynamic=kept.dynamic
+            )
+        ]
+    )
+    if levels:
+        low = min(float(window.command.min()) for window in problem.windows)
+        high = max(float(window.command.max()) for window in problem.windows)
+        found += [replace(each, center=0.5 * (low + high), reach=0.5 * (high - low)) for each in (kept, *found)]
+    return found
 
 
-def fit_static(problem: Problem, more: Operators | None = None) -> tuple[Operators, Solution, float]:
+def fit_static(problem: Problem, finer: Sequence[Operators] = ()) -> tuple[Operators, Solution, float]:
     """The operators of one axis, their weights without dynamics, and the mean square error on rows held out."""
-    problem, chosen = _with_more_operators(problem, solve(problem, Structure(), np.zeros(0)), more)
+    problem, chosen = _with_finer_operators(problem, solve(problem, Structure(), np.zeros(0)), finer)
     return problem.operators, solve(problem, Structure(), np.zeros(0), everything=True), chosen.held_out
 
 
 def fit_dynamic(
-    problem: Problem, structure: Structure | None, more: Operators | None = None
+    problem: Problem, structure: Structure | None, finer: Sequence[Operators] = ()
 ) -> tuple[Operators, Solution, float, list[Solution]]:
     """The operators of one axis, their weights and G(s) behind them, the mean square error on rows held out, and all structures."""
     selection = replace(problem, windows=stretches(problem.windows, SELECTION_ROWS))
     tried: list[Solution] = []
     chosen = choose_structure(selection, structure, tried.append)
     chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
-    selection, chosen = _with_more_operators(selection, chosen, more)
+    selection, chosen = _with_finer_operators(selection, chosen, finer)
     problem = replace(problem, operators=selection.operators)
     final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=3, everything=True)
     if structure is None and chosen.structure.slow_pair and not _is_determined(problem, final):
@@ -125,13 +148,12 @@ def fit_dynamic(
     return problem.operators, final, chosen.held_out, tried
 
 
-def _with_more_operators(problem: Problem, found: Solution, more: Operators | None) -> tuple[Problem, Solution]:
-    """The problem of more operators with its solution, where rows held out show them."""
-    if more is None:
-        return problem, found
-    finer = replace(problem, operators=more)
-    trial = solve(finer, found.structure, found.parameters, passes=12)
-    return (finer, trial) if _relative_error(trial, found) < 1.0 - PAIR_IMPROVEMENT else (problem, found)
+def _with_finer_operators(problem: Problem, found: Solution, finer: Sequence[Operators]) -> tuple[Problem, Solution]:
+    """The problem of other operators with its solution, where rows held out show them; the plainest of those that fit about as well."""
+    problems = [replace(problem, operators=each) for each in finer]
+    trials = [solve(each, found.structure, found.parameters, passes=12) for each in problems]
+    chosen = _plainest(trials, found, 1.0 - PAIR_IMPROVEMENT)
+    return (problem, found) if chosen is None else (problems[next(i for i, each in enumerate(trials) if each is chosen)], chosen)
 
 
 def default_operators(

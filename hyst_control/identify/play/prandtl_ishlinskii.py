@@ -21,14 +21,15 @@ from hyst_control.identify.data.fit_windows import as_window, response_sign, tur
 from hyst_control.identify.families.estimator import Estimator, O, register
 from hyst_control.identify.play import paper_hampi
 from hyst_control.identify.play.hammerstein import (
+    DynamicWeightOptions,
     HammersteinOptions,
     OperatorOptions,
     PlayOptions,
     axis_problem,
+    finer_operators,
     fit_dynamic,
     fit_rate_dependent,
     fit_static,
-    more_operators,
 )
 from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.gram_sums import Operators
@@ -74,24 +75,25 @@ class Play(_Operators[PlayOptions]):
 
     def fit_axis(self, records: Sequence[Record], index: int, options: PlayOptions) -> AxisFit:
         problem = axis_problem(records, index, options, one_sided=options.one_sided)
-        return axis_fit(records, index, *fit_static(problem, more_operators(problem, options)), dynamics=False)
+        return axis_fit(records, index, *fit_static(problem, finer_operators(problem, options)), dynamics=False)
 
 
-class _Hammerstein(_Operators[HammersteinOptions]):
+class _Hammerstein(_Operators[O]):
     """Play operators in front of dynamics."""
 
-    Options = HammersteinOptions
     dynamic = False  # Weights that follow the command's rate and level
 
-    def fit_axis(self, records: Sequence[Record], index: int, options: HammersteinOptions) -> AxisFit:
+    def fit_axis(self, records: Sequence[Record], index: int, options: O) -> AxisFit:
+        assert isinstance(options, HammersteinOptions)
         if options.method == "paper":
             return axis_fit(records, index, *paper_hampi.fit_axis(records, index, options, dynamic=self.dynamic))
         problem = axis_problem(records, index, options, one_sided=options.one_sided, dynamic=self.dynamic)
-        return axis_fit(records, index, *fit_dynamic(problem, options.structure, more_operators(problem, options)))
+        finer = finer_operators(problem, options, levels=isinstance(options, DynamicWeightOptions) and options.levels)
+        return axis_fit(records, index, *fit_dynamic(problem, options.structure, finer))
 
 
 @register
-class Hammerstein(_Hammerstein):
+class Hammerstein(_Hammerstein[HammersteinOptions]):
     """Play operators of static weights in front of dynamics."""
 
     name = "hapi"
@@ -99,6 +101,7 @@ class Hammerstein(_Hammerstein):
         "Prandtl-Ishlinskii model in front of dynamics G(s): for given G(s) the output is linear in the weights, so the search is over "
         "G(s) alone (variable projection), whose factors are chosen on held-out stretches"
     )
+    Options = HammersteinOptions
 
 
 @register
@@ -114,11 +117,12 @@ class RateDependent(_Operators[OperatorOptions]):
 
 
 @register
-class ModifiedHammerstein(_Hammerstein):
+class ModifiedHammerstein(_Hammerstein[DynamicWeightOptions]):
     """Play operators of dynamic weights in front of dynamics."""
 
     name = "hampi"
-    sentence = "as hapi, with weights that follow the command's rate and level (m1, m2, k, b)"
+    sentence = "as hapi, with weights that follow the command's rate and level: m1, m2, k, b, or for each operator one of levels"
+    Options = DynamicWeightOptions
     dynamic = True
 
 
@@ -168,9 +172,14 @@ def axis_fit(
 
 
 def _hysteresis(operators: Operators, theta: Array) -> Stage:
-    thresholds, weights = operators.thresholds, theta[: len(operators.thresholds)]
+    thresholds, (weights, levels, rest) = operators.thresholds, operators.split(theta)
+    if operators.reach:
+        m1, m2 = rest
+        return ModifiedPrandtlIshlinskii(
+            thresholds, weights, m1=m1, m2=m2, levels=levels, center=operators.center, one_sided=operators.one_sided
+        )
     if operators.dynamic:
-        m1, m2, k = theta[len(thresholds) :]
+        m1, m2, k = rest
         # b adds to every weight alike, so the data cannot separate it from them: it is set so that k u + b vanishes at mid-drive,
         # where the weights then are the static ones.
         return ModifiedPrandtlIshlinskii(
@@ -186,13 +195,16 @@ def _hysteresis(operators: Operators, theta: Array) -> Stage:
 
 
 def _numbers(operators: Operators, structure: Structure, vector: Array, unit: str) -> list[Number]:
-    count = len(operators.thresholds)
-    slope = f"{unit}/V"
-    found = [Number(f"weights[{i}]", vector[i], slope, threshold=float(operators.thresholds[i])) for i in range(count)]
+    weights, levels, rest = operators.split(vector[: operators.columns])
+    slope, rates = f"{unit}/V", [f"{unit} s/V^2"] * 2
+    at = [float(threshold) for threshold in operators.thresholds]
+    found = [Number(f"weights[{i}]", weight, slope, threshold=at[i]) for i, weight in enumerate(weights)]
+    if operators.reach:
+        found += [Number(f"levels[{i}]", level, f"{unit}/V^2", threshold=at[i]) for i, level in enumerate(levels)]
     if operators.dynamic:
-        m1, m2, k = vector[count : count + 3]
-        found += [Number("m1", m1, f"{unit} s/V^2"), Number("m2", m2, f"{unit} s/V^2"), Number("k", k, f"{unit}/V^2")]
-        found.append(Number("b", -k * operators.center, slope, estimated=False))
+        found += [Number(name, value, unit) for name, value, unit in zip(("m1", "m2", "k"), rest, [*rates, f"{unit}/V^2"])]
+    if operators.dynamic and not operators.reach:
+        found.append(Number("b", -rest[2] * operators.center, slope, estimated=False))
     if operators.rate_gain is not None:
         found.append(Number("beta", operators.rate_gain, "s", estimated=False))
     return found + structure.numbers(vector[operators.columns :])

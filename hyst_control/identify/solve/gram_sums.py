@@ -3,8 +3,10 @@
 """Streaming regressors of a Prandtl-Ishlinskii model in front of linear dynamics, and their Gram matrices.
 
 For given thresholds and G(s) the output is linear in all the rest: y = Σ_j θ_j G[φ_j], with φ the play operators and, for
-HAMPI, the products of the dynamic weights (HAMPI paper Eq. 2-6). The regressors of a long record do not fit in memory, but
-their Gram matrix is small, and sufficient for a least-squares problem: so a record is passed once, block by block.
+HAMPI, the products of the dynamic weights (HAMPI paper Eq. 2-6). Where every weight changes with the command by an amount of its own,
+there are two of each operator, φ (1 - s)/2 and φ (1 + s)/2, with s = -1 … 1 the command within its range: θ are the weights at its ends.
+The regressors of a long record do not fit in memory, but their Gram matrix is small, and sufficient for a least-squares problem: so a
+record is passed once, block by block.
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ def regressors(
     release: Array,
     rate_gain: float,
     dynamic: bool,
+    reach: float,
     theta: Annotated[Array, "J"],
     operators: Annotated[Array, "1"],
     previous: Annotated[Array, "1"],
@@ -61,10 +64,17 @@ def regressors(
             operators[i] = h
             output[i, row] = h
             total += h
+        weights = count
+        for i in range(count):
+            if thresholds[i] < reach:
+                output[weights, row] = (0.5 + 0.5 * (u - center) / reach) * output[i, row]
+                output[i, row] -= output[weights, row]
+                weights += 1
         if dynamic:
-            output[count, row] = -rate * total if rate >= 0.0 else 0.0
-            output[count + 1, row] = rate * total if rate < 0.0 else 0.0
-            output[count + 2, row] = (u - center) * total
+            output[weights, row] = -rate * total if rate >= 0.0 else 0.0
+            output[weights + 1, row] = rate * total if rate < 0.0 else 0.0
+            if reach == 0.0:
+                output[weights + 2, row] = (u - center) * total
         weighted = 0.0
         for j in range(columns):
             weighted += theta[j] * output[j, row]
@@ -80,11 +90,25 @@ class Operators:
     dynamic: bool = False  # Weights that follow the command's rate and level (m1, m2, k)
     center: float = 0.0  # Command about which the level counts, V
     rate_gain: float | None = None  # Thresholds widen to r + rate_gain |du/dt| (RDPI), s; None: they do not
+    # Half the range of the command, V, over which the weight of every operator that moves in a cycle changes by an amount of its own,
+    # which takes the place of k; 0: none does
+    reach: float = 0.0
+
+    @property
+    def weights(self) -> int:
+        """Number of weights: one of each operator, at the lower end of the command's range where there is a second one at the upper end."""
+        return len(self.thresholds) + int(np.count_nonzero(self.thresholds < self.reach))
 
     @property
     def columns(self) -> int:
-        """Number of linear parameters: the weights, and m1, m2, k where the weights are dynamic."""
-        return len(self.thresholds) + 3 * self.dynamic
+        """Number of linear parameters: the weights, and m1, m2 and, where no weight changes by its own, k where they are dynamic."""
+        return self.weights + self.dynamic * (2 if self.reach else 3)
+
+    def split(self, theta: Annotated[Array, "J"]) -> tuple[Array, Array, Array]:
+        """Weights (n,) at the center of the command's range, change of each with the command (n,), and the rest of the parameters."""
+        n, low, high = len(self.thresholds), theta[: len(self.thresholds)], theta[: len(self.thresholds)].copy()
+        high[: self.weights - n] = theta[n : self.weights]
+        return 0.5 * (low + high), 0.5 * (high - low) / (self.reach or 1.0), theta[self.weights :]
 
     @property
     def release(self) -> Array:
@@ -249,6 +273,7 @@ class _Pass:
             ops.release,
             ops.rate_gain or 0.0,
             ops.dynamic,
+            ops.reach,
             self.theta,
             self.h,
             self.previous,

@@ -45,13 +45,16 @@ class Problem:
         """Matrix (J, J) from the bounded coordinates (slopes; m1, m2, k as they are) to the linear parameters."""
         n = len(self.operators.thresholds)
         matrix = np.eye(self.operators.columns)
-        matrix[np.arange(1, n), np.arange(n - 1)] = -1.0
+        after = np.arange(1, self.operators.weights)
+        after = after[after != n]  # the first weight at the upper end of the command's range
+        matrix[after, after - 1] = -1.0
         return matrix
 
     def bounds(self, free: int) -> tuple[Array, Array]:
         """Bounds of the bounded coordinates and of the nuisances, of which only drifts are bounded."""
-        n, dynamic = len(self.operators.thresholds), self.operators.dynamic
-        lower = np.concatenate([np.full(n, MIN_SLOPE * self.mean_slope), [0.0, 0.0, -np.inf] * dynamic, np.full(free, -np.inf)])
+        weights = self.operators.weights
+        rest = [0.0, 0.0, -np.inf][: self.operators.columns - weights]
+        lower = np.concatenate([np.full(weights, MIN_SLOPE * self.mean_slope), rest, np.full(free, -np.inf)])
         upper = np.full(len(lower), np.inf)
         if self.nuisance == "linear" and len(self.drift) and free:
             lower[self.operators.columns + 1 :: 2], upper[self.operators.columns + 1 :: 2] = np.negative(self.drift), self.drift
@@ -88,7 +91,7 @@ def linear_solution(problem: Problem, gram: Annotated[Array, "K K"], size: int, 
     reduced = transform.T @ gram[np.ix_(keep, keep)] @ transform
     target = transform.T @ gram[keep, total]
     bounds = problem.bounds(len(keep) - columns)
-    slopes = np.arange(len(keep)) < len(problem.operators.thresholds)
+    slopes = np.arange(len(keep)) < problem.operators.weights
     line = np.column_stack([slopes, np.eye(len(keep))[:, columns:]])
     free = np.full(line.shape[1], np.inf)
     gain = max(float(solve_bounded(line.T @ reduced @ line, line.T @ target, -free, free)[0]), MIN_SLOPE * problem.mean_slope)
