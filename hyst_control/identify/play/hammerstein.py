@@ -43,6 +43,11 @@ MIN_TIME_CONSTANTS = 6.0  # Duration of the longest record, in time constants of
 MIN_IMPROVEMENT = 0.03  # A factor of G is kept when it lowers the held-out mean square error by more than this fraction
 EXACT = 1e-300  # Mean square error below which two fits are alike
 PAIR_IMPROVEMENT = 0.12  # The same for a mode with a pair of zeros, which has four parameters, and for more operators
+LEVELS_IMPROVEMENT = (
+    0.5  # The same for weights that each change with the command: fewer are no asymmetry, but follow what else is missing
+)
+Finer = tuple[float, list[Operators]]
+"""Improvement of the held-out mean square error that other operators need, and the candidates, the plainest first."""
 
 
 @dataclass(frozen=True)
@@ -104,33 +109,29 @@ def axis_problem(
     return Problem(windows, operators, options.nuisance, len(records), travel / drive, drift)
 
 
-def finer_operators(problem: Problem, options: OperatorOptions, *, levels: bool = False) -> list[Operators]:
-    """More play operators for a problem, where the options do not list or count them, and with `levels` those of further weights."""
-    kept = problem.operators
-    found = (
-        []
-        if options.operators or options.thresholds
-        else [
-            default_operators(
-                problem.windows, replace(options, operators=MORE_OPERATORS), one_sided=kept.one_sided, dynamic=kept.dynamic
-            )
-        ]
-    )
+def finer_operators(problem: Problem, options: OperatorOptions, *, levels: bool = False) -> list[Finer]:
+    """More play operators for a problem, where the options do not list or count them; then, with `levels`, those of further weights."""
+    kept, more = problem.operators, []
+    if not (options.operators or options.thresholds):
+        counted = replace(options, operators=MORE_OPERATORS)
+        more = [default_operators(problem.windows, counted, one_sided=kept.one_sided, dynamic=kept.dynamic)]
+    found = [(PAIR_IMPROVEMENT, more)]
     if levels:
         low = min(float(window.command.min()) for window in problem.windows)
         high = max(float(window.command.max()) for window in problem.windows)
-        found += [replace(each, center=0.5 * (low + high), reach=0.5 * (high - low)) for each in (kept, *found)]
+        reach = 0.5 * (high - low)
+        found.append((LEVELS_IMPROVEMENT, [replace(each, center=low + reach, reach=reach) for each in (kept, *more)]))
     return found
 
 
-def fit_static(problem: Problem, finer: Sequence[Operators] = ()) -> tuple[Operators, Solution, float]:
+def fit_static(problem: Problem, finer: Sequence[Finer] = ()) -> tuple[Operators, Solution, float]:
     """The operators of one axis, their weights without dynamics, and the mean square error on rows held out."""
     problem, chosen = _with_finer_operators(problem, solve(problem, Structure(), np.zeros(0)), finer)
     return problem.operators, solve(problem, Structure(), np.zeros(0), everything=True), chosen.held_out
 
 
 def fit_dynamic(
-    problem: Problem, structure: Structure | None, finer: Sequence[Operators] = ()
+    problem: Problem, structure: Structure | None, finer: Sequence[Finer] = ()
 ) -> tuple[Operators, Solution, float, list[Solution]]:
     """The operators of one axis, their weights and G(s) behind them, the mean square error on rows held out, and all structures."""
     selection = replace(problem, windows=stretches(problem.windows, SELECTION_ROWS))
@@ -148,12 +149,15 @@ def fit_dynamic(
     return problem.operators, final, chosen.held_out, tried
 
 
-def _with_finer_operators(problem: Problem, found: Solution, finer: Sequence[Operators]) -> tuple[Problem, Solution]:
+def _with_finer_operators(problem: Problem, found: Solution, finer: Sequence[Finer]) -> tuple[Problem, Solution]:
     """The problem of other operators with its solution, where rows held out show them; the plainest of those that fit about as well."""
-    problems = [replace(problem, operators=each) for each in finer]
-    trials = [solve(each, found.structure, found.parameters, passes=12) for each in problems]
-    chosen = _plainest(trials, found, 1.0 - PAIR_IMPROVEMENT)
-    return (problem, found) if chosen is None else (problems[next(i for i, each in enumerate(trials) if each is chosen)], chosen)
+    for improvement, candidates in finer:
+        problems = [replace(problem, operators=each) for each in candidates]
+        trials = [solve(each, found.structure, found.parameters, passes=12) for each in problems]
+        chosen = _plainest(trials, found, 1.0 - improvement)
+        if chosen is not None:
+            problem, found = next((each, trial) for each, trial in zip(problems, trials, strict=True) if trial is chosen)
+    return problem, found
 
 
 def default_operators(
