@@ -43,9 +43,8 @@ MIN_TIME_CONSTANTS = 6.0  # Duration of the longest record, in time constants of
 MIN_IMPROVEMENT = 0.03  # A factor of G is kept when it lowers the held-out mean square error by more than this fraction
 EXACT = 1e-300  # Mean square error below which two fits are alike
 PAIR_IMPROVEMENT = 0.12  # The same for a mode with a pair of zeros, which has four parameters, and for more operators
-LEVELS_IMPROVEMENT = (
-    0.5  # The same for weights that each change with the command: fewer are no asymmetry, but follow what else is missing
-)
+HALVED = 0.5
+"""Factor of the held-out mean square error from which weights that each change with the command are an asymmetry, and G is chosen anew."""
 Finer = tuple[float, list[Operators]]
 """Improvement of the held-out mean square error that other operators need, and the candidates, the plainest first."""
 
@@ -120,7 +119,7 @@ def finer_operators(problem: Problem, options: OperatorOptions, *, levels: bool 
         low = min(float(window.command.min()) for window in problem.windows)
         high = max(float(window.command.max()) for window in problem.windows)
         reach = 0.5 * (high - low)
-        found.append((LEVELS_IMPROVEMENT, [replace(each, center=low + reach, reach=reach) for each in (kept, *more)]))
+        found.append((1.0 - HALVED, [replace(each, center=low + reach, reach=reach) for each in (kept, *more)]))
     return found
 
 
@@ -138,7 +137,12 @@ def fit_dynamic(
     tried: list[Solution] = []
     chosen = choose_structure(selection, structure, tried.append)
     chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
+    coarse = chosen
     selection, chosen = _with_finer_operators(selection, chosen, finer)
+    if structure is None and chosen.held_out < HALVED * coarse.held_out:  # what G took over of the hysteresis is the operators' now
+        anew = choose_structure(selection, None, tried.append)
+        anew = solve(selection, anew.structure, anew.parameters, anew.theta, passes=20)
+        chosen = min((chosen, anew), key=lambda each: _relative_error(each, coarse))
     problem = replace(problem, operators=selection.operators)
     final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=3, everything=True)
     if structure is None and chosen.structure.slow_pair and not _is_determined(problem, final):
