@@ -157,10 +157,11 @@ def _with_finer_operators(problem: Problem, found: Solution, finer: Sequence[Fin
     """The problem of other operators with its solution, where rows held out show them; the plainest of those that fit about as well."""
     for improvement, candidates in finer:
         problems = [replace(problem, operators=each) for each in candidates]
-        trials = [solve(each, found.structure, found.parameters, passes=12) for each in problems]
+        trials = [solve(each, found.structure, found.parameters, passes=1) for each in problems]  # behind the same G
         chosen = _plainest(trials, found, 1.0 - improvement)
         if chosen is not None:
-            problem, found = next((each, trial) for each, trial in zip(problems, trials, strict=True) if trial is chosen)
+            problem = next(each for each, trial in zip(problems, trials, strict=True) if trial is chosen)
+            found = solve(problem, found.structure, found.parameters, chosen.theta, passes=12)
     return problem, found
 
 
