@@ -121,7 +121,7 @@ class ModifiedHammerstein(_Hammerstein[DynamicWeightOptions]):
     """Play operators of dynamic weights in front of dynamics."""
 
     name = "hampi"
-    sentence = "as hapi, with weights that follow the command's rate and level: m1, m2, k, b, or for each operator one of levels"
+    sentence = "as hapi, with weights that follow the command's rate and level (m1, m2, k, b, or `levels`, one per operator)"
     Options = DynamicWeightOptions
     dynamic = True
 
