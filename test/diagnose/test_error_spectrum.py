@@ -13,9 +13,10 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import lfilter
 
 from hyst_control.chain import Chain
+from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.chain.memoryless import Gain
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.problem.coefficient_prior import pinned, scatter_of
+from hyst_control.diagnose.problem.coefficient_prior import pinned, reduced, scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.run.prepare import _floor
 from hyst_control.diagnose.search.beam_search import effective_sample_weight
@@ -117,6 +118,22 @@ def test_coefficients_are_pinned_by_clean_records():
     other = problem(1.4 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1))
     assert abs(fit(Linearized(other, scatter_of(clean.model))).z[0]) < 1.1  # within 30 %
     assert abs(fit(Linearized(other, narrow)).z[0]) > 5.0  # many deviations: the gain of the baseline record does not take it up
+
+
+def test_coefficients_keep_the_directions_in_which_they_move_the_records():
+    """Of two gains in series a record shows the product alone: one coefficient explains what both do."""
+    command = 3.0 * np.sin(2 * np.pi * STEP * np.arange(ROWS))[:, None]
+    chain = Chain((Gain(2.0), Gain(1.0)))
+    uncertainty = {"parameters": list(chain_coordinates(chain.stages, ("x",))), "factor": [[0.06, 0.0], [0.0, 0.03]]}
+    series = Model("two gains", ("x",), {"command": "V", "measurement": "um"}, STEP, chain, uncertainty=uncertainty)
+    measured = 2.06 * command + NOISE * np.random.default_rng(3).standard_normal((ROWS, 1))
+    given = Problem(series, (Piece(command, measured),), STEP, "foh", np.array([NOISE]))
+    whole = Linearized(given, scatter_of(series))
+    fewer = Linearized(given, reduced(whole.scatter, whole.columns))
+    assert (whole.count, fewer.count) == (2, 1)
+    assert fit(fewer).misfit == pytest.approx(fit(whole).misfit, rel=1e-6)
+    alone = reduced(fewer.scatter, fewer.columns)
+    assert alone is fewer.scatter  # what all is seen of stays as it is stated
 
 
 @pytest.mark.parametrize("slowest", [0.02, 1.0, 10.0])

@@ -26,6 +26,8 @@ from hyst_control.model_file import Model
 
 LARGEST = 0.3
 """Largest relative deviation (1 sigma) of a coefficient beside the model discrepancy: a direction that the data cannot tell."""
+LEAST_MOVE = 0.3
+"""Norm by which a standard deviation of coefficients moves a record, in units of noise and discrepancy, to count: 0.05 nats."""
 DIFFERENCE = 1e-4  # Relative change of a coefficient from which its slope is read
 
 
@@ -187,6 +189,20 @@ def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
             coefficient = replace(coefficient, tolerance=min(coefficient.tolerance, largest))
         limited.append(coefficient)
     return Scatter(scatter.model, tuple(limited))
+
+
+def reduced(scatter: Scatter, moves: Annotated[Array, "M K"]) -> Scatter:
+    """The directions of coefficients that scatter together in which they move the records."""
+    # moves: of the coefficients on the records, in units of noise and discrepancy
+    if scatter.joint is None:
+        return scatter
+    own = moves[:, : scatter.joint.factor.shape[1]]
+    values, vectors = np.linalg.eigh(own.T @ own)
+    seen = values > LEAST_MOVE**2
+    if seen.all():
+        return scatter
+    joint = replace(scatter.joint, factor=scatter.joint.factor @ vectors[:, seen])
+    return Scatter(scatter.model, (*_columns(joint), *scatter.coefficients[own.shape[1] :]), joint)
 
 
 def pinned(scatter: Scatter, moves: Annotated[Array, "M K"]) -> Scatter:

@@ -18,7 +18,7 @@ from hyst_control.diagnose.decide.record_findings import detected
 from hyst_control.diagnose.evidence import Finding, RecordEvidence
 from hyst_control.diagnose.model_error.baseline import Baseline
 from hyst_control.diagnose.noise.white import noise_between_periods, noise_of
-from hyst_control.diagnose.problem.coefficient_prior import pinned, scatter_of, within_own_error
+from hyst_control.diagnose.problem.coefficient_prior import pinned, reduced, scatter_of, within_own_error
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.record_checks.lines_in_clean import beyond_clean
 from hyst_control.diagnose.record_checks.spectral_lines import in_time, lines
@@ -134,6 +134,8 @@ def prepare(
         problem = replace(problem, independent=clean.independent)
     elif isinstance(problem.own_spectrum, ErrorSpectrum) and not problem.is_carried:
         problem = replace(problem, independent=configuration.baseline.stated_independent)
+    linearized = Linearized(problem, scatter)
+    scatter = reduced(scatter, linearized.columns)
     linearized = Linearized(problem, scatter)
     none = fit(linearized)
     record: Sequence[RecordEvidence] = record_evidence(
