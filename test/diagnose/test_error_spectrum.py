@@ -16,7 +16,6 @@ from hyst_control.chain import Chain
 from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.chain.memoryless import Gain
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.model_error.baseline import with_baseline
 from hyst_control.diagnose.problem.coefficient_prior import pinned, reduced, scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.run.prepare import _floor
@@ -24,7 +23,6 @@ from hyst_control.diagnose.search.beam_search import effective_sample_weight
 from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.identify.model_error.error_spectrum import FUNDAMENTALS, MEDIAN, OCTAVES, SMOOTHED, UPPER, ErrorSpectrum, filtered
-from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum
 from hyst_control.model_file import Model
 
 STEP, ROWS, NOISE = 0.005, 1200, 0.05
@@ -136,24 +134,6 @@ def test_coefficients_keep_the_directions_in_which_they_move_the_records():
     assert fit(fewer).misfit == pytest.approx(fit(whole).misfit, rel=1e-6)
     alone = reduced(fewer.scatter, fewer.columns)
     assert alone is fewer.scatter  # what all is seen of stays as it is stated
-
-
-def test_an_error_that_the_model_states_counts_where_a_baseline_record_of_another_command_shows_none():
-    """A baseline record of a command on which the model happens to be exact says little of other commands."""
-    time = STEP * np.arange(ROWS)
-    command, other = (3.0 * np.sin(2 * np.pi * time)[:, None] + np.sin(4 * np.pi * time + phase)[:, None] for phase in (0.0, 1.5))
-    error = slow_error(1)[:, 0]
-    stated = StatedSpectrum.of([command[:, 0]], [error], [error], [2.0 * command[:, 0] + error], STEP)
-    discrepancy = {"rms": [0.2], "spectrum": [stated.document()]}
-    noise = NOISE * np.random.default_rng(8).standard_normal((ROWS, 1))
-    clean, new = (problem(2.0 * rows + noise, rows) for rows in (other, command))
-    powers = []
-    for known in ({}, discrepancy):
-        at = replace(new, model=replace(model(), discrepancy=known))
-        spectrum = with_baseline(at, clean, CONFIGURATION.baseline).problem.own_spectrum
-        assert isinstance(spectrum, ErrorSpectrum)
-        powers.append(float(np.mean(spectrum.power[:20])) / NOISE**2)
-    assert powers[0] < 1.0 < 10.0 < powers[1]
 
 
 @pytest.mark.parametrize("slowest", [0.02, 1.0, 10.0])

@@ -131,7 +131,8 @@ def with_discrepancy(problem: Problem, settings: BaselineSettings, by_spectrum: 
     found = _beside_own_error(problem, problem.model.discrepancy, None, settings)
     if not by_spectrum:
         return found
-    spectrum = _stated_spectrum(problem, found.learned is not None, settings.unseen)
+    error, with_learned = found.repeatability, found.learned is not None
+    spectrum = _stated_spectrum(problem, problem.model.discrepancy["spectrum"], error, with_learned, settings)
     return replace(found, problem=replace(found.problem, own_spectrum=spectrum), floor=np.zeros_like(found.floor))
 
 
@@ -176,21 +177,20 @@ def _beside_own_error(
             ]
         spectrum = own_error_spectrum(left, everything, clean, max(problem.counts))
         spectrum = on_new_ground(spectrum, problem, clean, error, settings)
-        if "spectrum" in problem.model.discrepancy:  # a sweep shows no minor loops, a few sines hardly the mechanics
-            spectrum = spectrum.at_least(_stated_spectrum(problem, known is not None, 1.0))
         floor = np.zeros_like(excess)
     beside = replace(problem, model=model, beside_error=True, own_error=rest, own_correlation=length, own_spectrum=spectrum)
     return Baseline(beside, False, error, usual, floor, clean, excess, known)
 
 
-def _stated_spectrum(problem: Problem, with_learned: bool, unseen: float) -> ErrorSpectrum:
+def _stated_spectrum(
+    problem: Problem, documents: Sequence[Any], error: Array, with_learned: bool, settings: BaselineSettings
+) -> ErrorSpectrum:
     """The model discrepancy's spectrum on new records as the model's file states it, raised where their commands drive the model more."""
-    error = np.asarray(problem.model.discrepancy["rms"], dtype=float)
-    stated = [StatedSpectrum.from_document(one) for one in problem.model.discrepancy["spectrum"]]
+    stated = [StatedSpectrum.from_document(one) for one in documents]
     outputs = [without_zero(piece.counted(simulated_rows(problem, i, piece)))[0] for i, piece in enumerate(problem.pieces)]
-    relative = unseen * error / np.maximum([one.output_rms for one in stated], 1e-300)
+    relative = settings.unseen * error / np.maximum([one.output_rms for one in stated], 1e-300)
     found = spectrum_on_new_records(stated, outputs, problem.sample_time, lowest_frequency(problem), relative, with_learned)
-    return replace(found, power=unseen**2 * found.power)
+    return replace(found, power=settings.unseen**2 * found.power)
 
 
 def _carried(

@@ -62,11 +62,6 @@ class ErrorSpectrum:
         """Add an error that has nothing to do with this one, at the same frequencies."""
         return ErrorSpectrum(self.frequencies, self.power + other.power, np.maximum(self.noise, other.noise))
 
-    def at_least(self, other: ErrorSpectrum) -> ErrorSpectrum:
-        """Raise the power to that of another spectrum, where it is lower."""
-        power = np.stack([np.interp(self.frequencies, other.frequencies, column) for column in other.power.T], axis=1)
-        return ErrorSpectrum(self.frequencies, np.maximum(self.power, power), self.noise)
-
     def with_slow_part(self, known: ErrorSpectrum, excited: Annotated[Array, "F A"]) -> ErrorSpectrum:
         """Replace the slow part by that of fewer rows, up to where this spectrum first falls below the white noise.
 
