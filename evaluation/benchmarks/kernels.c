@@ -6,12 +6,12 @@
 
 void dynamic_prandtl_ishlinskii(long rows, long axes, long count, const double *command, double *previous, double rate_factor,
                                 const double *thresholds, const double *release, const double *weights, const double *w0,
-                                const double *m1, const double *m2, const double *k, const double *b, const double *levels,
-                                const double *center, double *state, double *output)
+                                const double *m1, const double *m2, const double *k, const double *b, double *state,
+                                double *output)
 {
     for (long row = 0; row < rows; row++) {
         for (long axis = 0; axis < axes; axis++) {
-            double u = command[row * axes + axis], level = u - center[axis], total = 0.0, weighted = 0.0;
+            double u = command[row * axes + axis], total = 0.0, weighted = 0.0;
             for (long i = 0; i < count; i++) {
                 double low = u - thresholds[axis * count + i];
                 double high = u + release[axis * count + i];
@@ -20,7 +20,7 @@ void dynamic_prandtl_ishlinskii(long rows, long axes, long count, const double *
                 h = h < low ? low : h;
                 state[axis * count + i] = h;
                 total += h;
-                weighted += (weights[axis * count + i] + levels[axis * count + i] * level) * h;
+                weighted += weights[axis * count + i] * h;
             }
             double rate = (u - previous[axis]) * rate_factor;
             previous[axis] = u;

@@ -61,17 +61,17 @@ def prandtl_ishlinskii(library: ctypes.CDLL) -> Pair:
     running = stage.filter(Sampling(5e-5, 1))
     command = np.ascontiguousarray(25.0 * (1.0 - np.cos(0.01 * np.arange(ROWS)))).reshape(-1, 1)
     output = np.empty_like(command)
-    operators = running.thresholds, running.release, running.weights, *running.coefficients, running.levels, running.center
-    arrays = command, running.previous, running.rate_factor, *operators, running.state, output
+    operators = running.thresholds, running.release, running.weights, *running.coefficients
+    arrays = command, running.previous, running.rate_factor, *operators
 
     def own() -> Array:
         running.settle(command[0])
-        dynamic_prandtl_ishlinskii(*arrays)
+        dynamic_prandtl_ishlinskii(*arrays, None, running.center, running.state, output)
         return output.copy()
 
     def other() -> Array:
         running.settle(command[0])
-        _call(library.dynamic_prandtl_ishlinskii, ROWS, 1, 10, *arrays)
+        _call(library.dynamic_prandtl_ishlinskii, ROWS, 1, 10, *arrays, running.state, output)
         return output.copy()
 
     return Pair("modified_prandtl_ishlinskii", own, other)

@@ -45,7 +45,7 @@ TRAINING_PEAK, TRAINING_FREQUENCIES = 145.0, (10.0, 25.0, 75.0, 150.0, 250.0, 35
 """V and Hz, from which loops of 100 and 140 V are foretold: no loop of Table 4 is among them."""
 SEQUENCE_CYCLES = 3
 """Of the quasi-static loop: after one cycle alone the first rise from the virgin state weighs a half."""
-MODELS: dict[str, dict[str, Any]] = {"hapi": {}, "rdpi": {}, "hampi": {"levels": False}}  # By family: the paper's HAMPI has one k for all weights
+MODELS: dict[str, dict[str, Any]] = {"hapi": {}, "rdpi": {}, "hampi": {"levels": False}}  # The paper's has one k for all weights
 CYCLES = 12
 STROKE, OFFSET = 4.0, 1.0
 """um, peak to peak, and the lowest point of the reference: a drive that is never negative cannot bring the actuator back to 0."""

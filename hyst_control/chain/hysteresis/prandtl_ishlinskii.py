@@ -55,7 +55,7 @@ def dynamic_prandtl_ishlinskii(
     m2: Array,
     k: Array,
     b: Array,
-    levels: Array,
+    levels: Array | None,
     center: Array,
     state: Array,
     output: Array,
@@ -66,13 +66,12 @@ def dynamic_prandtl_ishlinskii(
     falling.
 
     command (N, A), previous (A,) the command one sample earlier, rate_factor 1 / sample_time (1/s); thresholds, release,
-    weights, levels and state (A, n); w0, m1, m2, k, b, center (A,); output (N, A). Where all but the weights are 0 it is the
-    classical model.
+    weights, levels and state (A, n), or levels None; w0, m1, m2, k, b, center (A,); output (N, A). Where all but the
+    weights are 0 it is the classical model.
     """
     for row in range(command.shape[0]):
         for axis in range(command.shape[1]):
             u = command[row, axis]
-            level = u - center[axis]
             total = 0.0
             weighted = 0.0
             for i in range(thresholds.shape[1]):
@@ -83,7 +82,12 @@ def dynamic_prandtl_ishlinskii(
                 h = low if h < low else h
                 state[axis, i] = h
                 total += h
-                weighted += (weights[axis, i] + levels[axis, i] * level) * h
+                weighted += weights[axis, i] * h
+            if levels is not None:  # numba compiles one function for each case
+                level = u - center[axis]
+                weighted = 0.0
+                for i in range(thresholds.shape[1]):
+                    weighted += (weights[axis, i] + levels[axis, i] * level) * state[axis, i]
             rate = (u - previous[axis]) * rate_factor
             previous[axis] = u
             rotation = -m1[axis] * rate if rate >= 0.0 else m2[axis] * rate
@@ -132,15 +136,15 @@ class PlayFilter(OperatorFilter):
             np.zeros_like(self.weights),
             per_axis_scalar(coefficients.get("center", 0.0), sampling.axes, "center"),
         )
-        if levels is not None:
-            for axis, own in enumerate(per_axis(levels, sampling.axes, 1, "levels")):
-                self.levels[axis, : len(own)] = own
+        for axis, own in enumerate(() if levels is None else per_axis(levels, sampling.axes, 1, "levels")):
+            self.levels[axis, : len(own)] = own
+        self.leveled = levels is not None
 
     def process(self, block: Array) -> Array:
         output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights)
-        level = self.levels, self.center
+        levels = self.levels if self.leveled else None
         dynamic_prandtl_ishlinskii(
-            block, self.previous, self.rate_factor, *operators, *self.coefficients, *level, self.state, output
+            block, self.previous, self.rate_factor, *operators, *self.coefficients, levels, self.center, self.state, output
         )
         return output
 
