@@ -31,7 +31,7 @@ def run(stage, u) -> np.ndarray:
 
 
 def written_out(u, thresholds, weights, w0=0.0, m1=0.0, m2=0.0, k=0.0, b=0.0, one_sided=False, beta=0.0, levels=None, center=0.0):
-    """HAMPI paper Eq. 2-6, sample by sample and operator by operator; beta widens the thresholds with the rate, levels replace k."""
+    """HAMPI paper Eq. 2-6, sample by sample and operator by operator; beta widens the thresholds with the rate, levels are beside it."""
     h, previous, y = [0.0] * len(thresholds), 0.0, []
     for value in u:
         rate = (value - previous) / TS
@@ -50,11 +50,12 @@ def written_out(u, thresholds, weights, w0=0.0, m1=0.0, m2=0.0, k=0.0, b=0.0, on
 def test_the_models_are_the_papers_equations(u, one_sided):
     expected = written_out(u, THRESHOLDS, WEIGHTS, W0, one_sided=one_sided)
     np.testing.assert_allclose(run(PrandtlIshlinskii(THRESHOLDS, WEIGHTS, W0, one_sided), u), expected, rtol=1e-12, atol=1e-12)
-    levels = [1e-3 * (-1) ** i for i in range(len(THRESHOLDS))]
-    dynamic = {"m1": 7.7e-7, "m2": 2.5e-7, "k": -6.4e-4, "b": 0.025, "w0": 0.1, "levels": levels, "center": 4.0}
-    expected = written_out(u, THRESHOLDS, WEIGHTS, one_sided=one_sided, **dynamic)
-    stage = ModifiedPrandtlIshlinskii(THRESHOLDS, WEIGHTS, one_sided=one_sided, **dynamic)
-    np.testing.assert_allclose(run(stage, u), expected, rtol=1e-12, atol=1e-12)
+    dynamic = {"m1": 7.7e-7, "m2": 2.5e-7, "k": -6.4e-4, "b": 0.025, "w0": 0.1}
+    leveled = {"levels": [1e-3 * (-1) ** i for i in range(len(THRESHOLDS))], "center": 4.0}
+    for values in (dynamic, dynamic | leveled):
+        expected = written_out(u, THRESHOLDS, WEIGHTS, one_sided=one_sided, **values)
+        stage = ModifiedPrandtlIshlinskii(THRESHOLDS, WEIGHTS, one_sided=one_sided, **values)
+        np.testing.assert_allclose(run(stage, u), expected, rtol=1e-12, atol=1e-12)
     expected = written_out(u, THRESHOLDS, WEIGHTS, W0, beta=2e-5)
     np.testing.assert_allclose(
         run(RateDependentPrandtlIshlinskii(THRESHOLDS, WEIGHTS, 2e-5, W0), u), expected, rtol=1e-12, atol=1e-12

@@ -228,8 +228,9 @@ def test_width_minus_one_leaves_the_mean_curve_of_play_operators():
     np.testing.assert_allclose(found[1:], u[:-1], rtol=1e-12)
 
 
-def test_width_scales_the_area_of_a_loop():
-    hysteresis = ModifiedPrandtlIshlinskii([1.0, 9.0], [0.5, 0.3], k=-1e-3, b=0.02)
+@pytest.mark.parametrize("dynamic", [{"k": -1e-3, "b": 0.02}, {"levels": [1e-3, 2e-3], "center": 10.0}])
+def test_width_scales_the_area_of_a_loop(dynamic):
+    hysteresis = ModifiedPrandtlIshlinskii([1.0, 9.0], [0.5, 0.3], **dynamic)
     u = loop()
 
     def area(stages):

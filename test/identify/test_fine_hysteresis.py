@@ -97,7 +97,7 @@ def test_a_period_that_begins_at_rest_is_not_preceded_by_itself():
     assert with_beginning(steady).start.assumed == PERIODIC
 
 
-def test_an_asymmetric_hysteresis_is_fitted_and_other_commands_foretold_to_the_noise():
+def test_an_asymmetric_hysteresis_is_fitted_and_predicts_another_command_to_the_noise():
     """Its slope rises by half over the range; one k for all weights leaves a multiple of the noise."""
     commands, fresh, curve = (multisine(1), triangle()), multisine(7), 2.5e-4
     records = [record(each, measured(each, seed=seed, curve=curve)) for seed, each in enumerate(commands)]

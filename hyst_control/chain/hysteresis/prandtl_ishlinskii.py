@@ -132,10 +132,8 @@ class PlayFilter(OperatorFilter):
         names = ("w0", "m1", "m2", "k", "b")
         w0, m1, m2, k, b = (per_axis_scalar(coefficients.get(name, 0.0), sampling.axes, name) for name in names)
         self.coefficients = (w0, m1, m2, k, b)
-        self.levels, self.center = (
-            np.zeros_like(self.weights),
-            per_axis_scalar(coefficients.get("center", 0.0), sampling.axes, "center"),
-        )
+        self.center = per_axis_scalar(coefficients.get("center", 0.0), sampling.axes, "center")
+        self.levels = np.zeros_like(self.weights)
         for axis, own in enumerate(() if levels is None else per_axis(levels, sampling.axes, 1, "levels")):
             self.levels[axis, : len(own)] = own
         self.leveled = levels is not None
@@ -273,7 +271,7 @@ class ModifiedPrandtlIshlinskii(OperatorModel):
 
     w_r = -m1 du/dt while the command rises and +m2 du/dt while it falls; w_a = k u + b. Under `zoh` du/dt is the backward
     difference of the held command, under `foh` the slope of the segment that ends at the sample. `levels` is an extension: the paper
-    has one k for all weights, where those of a piezo stack change by different amounts.
+    has one k for all weights, where those of an asymmetric hysteresis change by different amounts.
     """
 
     name: ClassVar[str] = "modified_prandtl_ishlinskii"

@@ -135,8 +135,9 @@ def prepare(
     elif isinstance(problem.own_spectrum, ErrorSpectrum) and not problem.is_carried:
         problem = replace(problem, independent=configuration.baseline.stated_independent)
     linearized = Linearized(problem, scatter)
-    scatter = reduced(scatter, linearized.columns)
-    linearized = Linearized(problem, scatter)
+    if (fewer := reduced(scatter, linearized.columns)) is not scatter:
+        scatter = fewer
+        linearized = Linearized(problem, scatter)
     none = fit(linearized)
     record: Sequence[RecordEvidence] = record_evidence(
         problem, problem.rows(none.residual), configuration.checks, configuration.noise

@@ -31,7 +31,7 @@ OPERATORS, ROWS, TURNS = 12, 2000, 9
 AT_ZERO = 0.01  # Share of the largest command up to which a record begins at 0 V
 DOUBT = 1.1
 """Factor by which the square error may be larger than that of one on its initial loading curve, or of one preceded by itself."""
-LIKELY = 0.95  # Probability with which few rows must refute these
+LIKELY = 0.95  # Quantile of the F distribution that this factor may reach where rows are few
 ROWS_PER_WEIGHT = 4  # Least number of rows per weight
 SURE = 4.0  # Factor by which every other memory has a larger square error where a record surely begins on its initial loading curve
 LITTLE, HALF = 0.9, 0.5

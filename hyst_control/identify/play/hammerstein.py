@@ -44,9 +44,9 @@ MIN_IMPROVEMENT = 0.03  # A factor of G is kept when it lowers the held-out mean
 EXACT = 1e-300  # Mean square error below which two fits are alike
 PAIR_IMPROVEMENT = 0.12  # The same for a mode with a pair of zeros, which has four parameters, and for more operators
 HALVED = 0.5
-"""Factor of the held-out mean square error from which weights that each change with the command are an asymmetry, and G is chosen anew."""
+"""Factor of the held-out mean square error below which weights that each change with the command are taken, and G is chosen anew."""
 Finer = tuple[float, list[Operators]]
-"""Improvement of the held-out mean square error that other operators need, and the candidates, the plainest first."""
+"""Largest held-out mean square error, relative to that of coarser operators, with which one is taken of these, the plainest first."""
 
 
 @dataclass(frozen=True)
@@ -114,12 +114,12 @@ def finer_operators(problem: Problem, options: OperatorOptions, *, levels: bool 
     if not (options.operators or options.thresholds):
         counted = replace(options, operators=MORE_OPERATORS)
         more = [default_operators(problem.windows, counted, one_sided=kept.one_sided, dynamic=kept.dynamic)]
-    found = [(PAIR_IMPROVEMENT, more)]
+    found = [(1.0 - PAIR_IMPROVEMENT, more)]
     if levels:
         low = min(float(window.command.min()) for window in problem.windows)
         high = max(float(window.command.max()) for window in problem.windows)
         reach = 0.5 * (high - low)
-        found.append((1.0 - HALVED, [replace(each, center=low + reach, reach=reach) for each in (kept, *more)]))
+        found.append((HALVED, [replace(each, center=low + reach, reach=reach) for each in (kept, *more)]))
     return found
 
 
@@ -155,10 +155,10 @@ def fit_dynamic(
 
 def _with_finer_operators(problem: Problem, found: Solution, finer: Sequence[Finer]) -> tuple[Problem, Solution]:
     """The problem of other operators with its solution, where rows held out show them; the plainest of those that fit about as well."""
-    for improvement, candidates in finer:
+    for most, candidates in finer:
         problems = [replace(problem, operators=each) for each in candidates]
         trials = [solve(each, found.structure, found.parameters, passes=1) for each in problems]  # behind the same G
-        chosen = _plainest(trials, found, 1.0 - improvement)
+        chosen = _plainest(trials, found, most)
         if chosen is not None:
             problem = next(each for each, trial in zip(problems, trials, strict=True) if trial is chosen)
             found = solve(problem, found.structure, found.parameters, chosen.theta, passes=12)
